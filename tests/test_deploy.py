@@ -1,6 +1,7 @@
 """The dashboard and the alerts name metrics that exist, and each alert has its advice in docs/operations.md."""
 
 import json
+import logging
 import re
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from app.cli.logs import _USUAL
 from tests.http.fakes import FakeRuntime
 from tests.openapi import CheckedClient
 
@@ -81,6 +83,14 @@ def test_the_page_lists_every_metric_of_the_service(printed: dict[str, str]) -> 
         name for name in of_histograms if name.startswith("revisit_") and not re.search(r"_(bucket|sum|created)$", name)
     }
     assert listed == families
+
+
+def test_the_page_lists_every_field_of_the_line_of_a_request(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "revisit.access"), CheckedClient(FakeRuntime().app()) as client:
+        client.get("/maps/none")
+    [line] = [record for record in caplog.records if getattr(record, "event", "") == "request"]
+    listed = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", PAGE.read_text(), re.MULTILINE))))
+    assert set(vars(line)) - _USUAL - {"taskName"} <= listed
 
 
 def test_promtool_accepts_the_rules_and_the_configuration() -> None:

@@ -1,20 +1,27 @@
 """Settings, commands, calls, files and versions that the documentation names exist."""
 
 import argparse
+import ast
 import importlib.util
 import inspect
 import re
 import tomllib
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from revisit_client import Revisit
 
 from app.cli import study
 from app.cli.__main__ import parser
+from app.http.examples import MAP_HEALTH
+from app.http.scopes import ADMIN, READ, WRITE
 from app.version import VERSION
+from schemas import wire
+from schemas.recipe import TermWeights
 from schemas.settings import Settings
+from worker.method.coverage import QUARTERS, missing_directions
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -131,6 +138,74 @@ def test_the_clients_page_names_every_call_with_its_options() -> None:
         told = set(re.findall(r"(\w+)=", re.findall(rf"`{name}\(([^`]*)`", row)[0]))
         told |= filters if "filters of `query`" in row else set()
         assert "..." in row or options <= told, f"{name}: {options - told}"
+
+
+def test_the_clients_page_names_every_call_that_is_not_repeated_when_its_answer_got_lost() -> None:
+    unsafe = set()
+    for file in (ROOT / "client" / "revisit_client").glob("*.py"):
+        for call in (one for one in ast.walk(ast.parse(file.read_text())) if isinstance(one, ast.FunctionDef)):
+            options = {f"{one.arg}={ast.unparse(one.value)}" for one in ast.walk(call) if isinstance(one, ast.keyword)}
+            if "repeat=False" in options and not call.name.startswith("_"):
+                unsafe.add(call.name)
+    [told] = re.findall(r"refused the second time\n\(([^)]*)\)", (ROOT / "docs" / "client.md").read_text())
+
+    assert set(re.findall(r"`(\w+)`", told)) == unsafe - {"readyz"}
+
+
+def test_the_page_of_keys_says_what_each_scope_may() -> None:
+    page = (ROOT / "docs" / "keys.md").read_text()
+    rows = {scope: re.findall(rf"^\| `{scope}` \|.*$", page, re.MULTILINE) for scope in ("read", "write", "admin")}
+    calls = {"read": [one for one in READ if one[0] == "POST"], "write": WRITE, "admin": ADMIN}
+    for scope, routes in calls.items():
+        [row] = rows[scope]
+        for method, path in routes:
+            if path.startswith("/compat/compreface"):
+                assert "CompreFace" in row
+                continue
+            nouns = [part for part in path.split("/") if part and not part.startswith("{")]
+            noun = nouns[-2] if nouns[-1] == "switch" else nouns[-1]
+            assert noun.removesuffix("s") in row, f"{scope}: {method} {path}"
+
+
+def test_members_in_examples_of_answers_exist() -> None:
+    models = [one for one in vars(wire).values() if isinstance(one, type) and issubclass(one, wire.Answer)]
+    known = {name for model in models for name in model.model_fields} | set(get_args(wire.HealthCode))
+    known |= TermWeights(dense=1).terms().keys() | {"type", "timestamp", "data", "drawing"}  # of webhooks, and of links
+    for page in PAGES:
+        for block in re.findall(r"^```json\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
+            assert set(re.findall(r'"([\w-]+)"\s*:', block)) <= known, page.name
+
+
+def test_the_example_of_health_could_be_an_answer() -> None:
+    [finding] = MAP_HEALTH["findings"]
+    page = (ROOT / "docs" / "health.md").read_text()
+    for heading in (finding["position"]["heading"], *map(float, re.findall(r'"heading": ([\d.]+)', page))):
+        assert [QUARTERS[name] for name in missing_directions([heading])] == finding["headings"]
+    assert (len(finding["views"]), MAP_HEALTH["counts"]["single-view"]) == (finding["count"], 0) != (1, 0)
+
+
+def test_the_walk_through_the_files_finds_what_it_names() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| \d \| \[`([\w/.]+)`\]\(\S+\) \| `([\w.]+)`", page, re.MULTILINE)
+    assert len(rows) == 7
+    for file, name in rows:
+        assert re.search(rf"^ *(async )?def {name.rpartition('.')[2]}\(", (ROOT / file).read_text(), re.MULTILINE), name
+
+
+@pytest.mark.parametrize("file", ["nginx.conf", "fleet/nginx.conf"])
+def test_limits_of_the_proxy_are_the_services(file: str) -> None:
+    text = (ROOT / "deploy" / file).read_text()
+    fields = Settings.model_fields
+    named = re.findall(r"^ *\w+ (\d+)[sm]; *# REVISIT_(\w+)$", text, re.MULTILINE)
+    assert len(named) >= 2
+    for number, name in named:
+        assert float(number) == fields[name.lower()].default, name
+    waits = re.findall(r"proxy_read_timeout (\d+)s;", text)
+    assert [int(one) > fields["wait"].default for one in waits] == [True, True]
+    [told] = re.findall(r"longer than REVISIT_WAIT \((\d+) s\)", text)
+    assert int(told) == fields["wait"].default
+    [large] = re.findall(r"location ~ \^/\(restore\|.*?\}", text, re.DOTALL)
+    assert "proxy_read_timeout 3600s;" in large  # a restoration takes minutes, and says nothing meanwhile
 
 
 def test_one_version_everywhere() -> None:

@@ -25,7 +25,8 @@ def add(verbs: Verbs) -> None:
     maps.add_argument(
         "--refuse-poor",
         choices=("yes", "no"),
-        help="whether the named map refuses images that are dark, overexposed, covered or blurred",
+        help="whether the named map refuses images that are dark, overexposed, covered or blurred, show mostly what "
+        "moves, or are nearly in it already",
     )
     speaks(maps)
     maps.set_defaults(run=run_maps)

@@ -88,7 +88,10 @@ def add(verbs: Verbs) -> None:
         parser.add_argument(f"--{name}", type=float, metavar="N", help=f"{what}; of all these images")
     parser.add_argument("--metadata", metavar="JSON", help="kept with all these images")
     parser.add_argument(
-        "--refuse-poor", action="store_true", help="refuse images that are dark, overexposed, covered or blurred"
+        "--refuse-poor",
+        action="store_true",
+        help="refuse images that are dark, overexposed, covered or blurred, show mostly what moves, or are nearly in "
+        "the map already",
     )
     parser.add_argument("--dry-run", action="store_true", help="only say what would be enrolled, and with what")
     parser.add_argument("--parallel", type=int, default=4, metavar="N", help="images sent at once (default: 4)")

@@ -39,7 +39,10 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--image-topic", metavar="TOPIC", help="topic of the images, of a ROS 2 recording with several")
     parser.add_argument("--pose-topic", metavar="TOPIC", help="topic of the poses, of a ROS 2 recording with several")
     parser.add_argument(
-        "--refuse-poor", action="store_true", help="leave out images that are dark, overexposed, covered or blurred"
+        "--refuse-poor",
+        action="store_true",
+        help="leave out images that are dark, overexposed, covered or blurred, show mostly what moves, or are nearly "
+        "in the map already",
     )
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
     speaks(parser)

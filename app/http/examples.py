@@ -189,9 +189,9 @@ MAP_HEALTH: dict[str, Any] = {
             "detail": "'library, east door' is not seen towards south and west",
             "remedy": "stand at 'library, east door' (x 12.5, y 3.0), photograph south (180°) and west (270°)",
             "places": ["library, east door"],
-            "views": [VIEW["id"]],
-            "count": 1,
-            "position": VIEW["position"],
+            "views": [VIEW["id"], "0195f2a5-1b02-7c44-8e10-6d3b9a7c5f21"],
+            "count": 2,
+            "position": {**VIEW["position"], "heading": 45.0},
             "headings": [180.0, 270.0],
         }
     ],

@@ -180,7 +180,6 @@ class Connection:
         *,
         repeat: bool = True,
         accept: int | None = None,
-        once: bool = False,
         stream: bool = False,
         lost: bool = False,
         **request: Any,
@@ -193,8 +192,6 @@ class Connection:
             Whether the request may be sent twice after a lost connection, because its work is then done once.
         accept : int or None
             A status of 400 or more that is returned instead of raised.
-        once : bool
-            Whether its body can be read once alone, so that it is never repeated.
         stream : bool
             Whether the body of the answer is left to be read, and the answer to be closed, by the caller.
         lost : bool
@@ -234,7 +231,7 @@ class Connection:
                 again = answer.status_code in (429, 503) or (lost and _still_runs(answer))
                 # A time that is over by a clock that is ahead must not make calls without a pause.
                 wait = pause if named is None or named < FIRST_PAUSE_S else named
-            if once or not again or self._clock() + wait > deadline:
+            if not again or self._clock() + wait > deadline:
                 raise trouble
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)

@@ -35,7 +35,7 @@ class ImageCalls:
         return self._connection.send("GET", address("queries", query_id, "changes.png")).content
 
     def image(self, view_id: str) -> bytes:
-        """The image as it was enrolled, byte for byte."""
+        """The image as it was enrolled, without its metadata (EXIF, position, comments); HEIC comes as JPEG."""
         return self._connection.send("GET", address("views", view_id, "image")).content
 
     def thumbnail(self, view_id: str) -> bytes:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -10,7 +11,7 @@ from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed, RevisitProblem, Unreachable
 from revisit_client.parameters import address, texts
-from revisit_client.recordings import folder_as_zip, pieces_of
+from revisit_client.recordings import Body, folder_as_zip, pieces_of
 
 SILENCE_S = 20.0
 """Seconds without a sign of life after which events count as lost; the service sends one every 5."""
@@ -66,10 +67,12 @@ class JobCalls:
         image_topic, pose_topic : str or None
             Of a ROS 2 recording with several.
         """
-        body: bytes | Iterator[bytes]
+        body: bytes | Body
         headers = {"content-type": "application/octet-stream"}
         if not isinstance(source, bytes) and Path(source).is_dir():
-            body = folder_as_zip(Path(source), None if manifest is None else Path(manifest))
+            packed = partial(folder_as_zip, Path(source), None if manifest is None else Path(manifest))
+            packed()  # what cannot be packed is told before anything is sent
+            body = Body(packed)
         elif manifest is not None:
             raise ValueError("a manifest goes with a folder; that of an archive lies in it")
         elif isinstance(source, bytes):
@@ -78,7 +81,7 @@ class JobCalls:
             headers["content-length"] = str(
                 Path(source).stat().st_size
             )  # what is too large is refused before it is sent
-            body = pieces_of(Path(source))
+            body = Body(partial(pieces_of, Path(source)))
         return self._connection.receive(
             wire.Job,
             "POST",
@@ -96,7 +99,6 @@ class JobCalls:
             content=body,
             headers=headers,
             repeat=False,
-            once=not isinstance(body, bytes),
         )
 
     def job(self, job_id: str) -> wire.Job:
@@ -109,7 +111,7 @@ class JobCalls:
             yield from page.jobs
 
     def cancel_job(self, job_id: str) -> wire.Job:
-        """Cancel a describe job that is waiting, or a recipe, vocabulary or import job that has not finished."""
+        """Cancel a describe job that is waiting, or a job of another kind that has not finished."""
         return self._connection.receive(wire.Job, "DELETE", address("jobs", job_id))
 
     def wait_for_job(

@@ -90,7 +90,8 @@ class MapCalls:
         keep_queries, keep_matches : int or None
             How many queries are kept at most that matched nothing, or a view that they look unlike; 0: none.
         refuse_poor : bool or None
-            Refuse to enrol images that are dark, overexposed, covered or blurred.
+            Refuse to enrol images that are dark, overexposed, covered or blurred, show mostly what moves, or are nearly
+            in the map already.
         """
         given = {
             "ranking": None if ranking is None else dict(ranking),
@@ -112,7 +113,8 @@ class MapCalls:
         return self.change_map(name, blur=words)
 
     def refuse_poor(self, name: str, wanted: bool = True) -> wire.MapFacts:
-        """Refuse to enrol images that are dark, overexposed, covered or blurred, or no longer."""
+        """Refuse to enrol images that are dark, overexposed, covered or blurred, show mostly what moves, or are nearly
+        in the map already; or no longer."""
         return self.change_map(name, refuse_poor=wanted)
 
     def keep_queries(self, name: str, count: int) -> wire.MapFacts:

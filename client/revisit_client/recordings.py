@@ -1,7 +1,7 @@
 """Recordings on their way to a service: archives read, and folders packed, piece by piece while they are sent."""
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from revisit_client.parameters import readable
@@ -29,6 +29,22 @@ TRAJECTORIES = frozenset(
 
 PIECE = 1 << 20
 """Bytes sent at a time."""
+
+
+class Body:
+    """The pieces of a body, from its beginning each time it is sent.
+
+    Parameters
+    ----------
+    make : function
+        Makes the pieces.
+    """
+
+    def __init__(self, make: Callable[[], Iterator[bytes]]) -> None:
+        self._make = make
+
+    def __iter__(self) -> Iterator[bytes]:
+        return self._make()
 
 
 class _Outgoing:

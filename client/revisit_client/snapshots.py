@@ -1,12 +1,13 @@
 """Calls of the client about snapshots."""
 
 import os
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.parameters import address, texts
+from revisit_client.recordings import Body, pieces_of
 
 CHUNK = 1 << 20
 
@@ -71,20 +72,8 @@ class SnapshotCalls:
             "POST",
             "/restore",
             params=texts({"as": name}),
-            content=_Body(source),
+            content=Body(partial(pieces_of, source)),
             headers=headers,
             timeout=None,  # it is answered when all of it is stored
             repeat=False,
         )
-
-
-class _Body:
-    """The bytes of a file, from its beginning each time they are sent."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __iter__(self) -> Iterator[bytes]:
-        with self._path.open("rb") as file:
-            while chunk := file.read(CHUNK):
-                yield chunk

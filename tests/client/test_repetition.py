@@ -161,6 +161,23 @@ def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
     assert clock.naps == [0.25, 0.5, 1.0]
 
 
+@pytest.mark.parametrize("folder", [False, True])
+def test_a_recording_is_sent_again_from_its_beginning_to_a_service_that_was_starting(
+    folder: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"a photo")
+    sent: list[bytes] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        sent.append(request.read())
+        return httpx.Response(202, json=answers.job()) if len(sent) == 3 else refused("unavailable", 503)
+
+    client(handler, Clock()).import_recording(tmp_path if folder else tmp_path / "a.jpg", map="campus")
+
+    assert sent[0] == sent[1] == sent[2]
+    assert b"a photo" in sent[2]
+
+
 def test_an_enrolment_whose_answer_got_lost_waits_for_the_first_that_still_runs() -> None:
     replayed = httpx.Response(201, json=answers.enrolled(), headers={"idempotent-replayed": "true"})
     handler = in_turn(httpx.ReadError("a proxy cut the answer"), refused("conflict", 409), replayed)

@@ -1,18 +1,24 @@
 """What a deletion says: what is gone from where, and which snapshots still have it."""
 
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
+from app.http.examples import VIEW
 from schemas.map_changes import MapChanges
-from schemas.records import Filters, ViewAttributes
+from schemas.records import Filters, Replay, ViewAttributes
 from schemas.removal import Holding
+from schemas.wire import Enrolled, EnrolledMany
+from tests.answers import enrolled
 from tests.storage.carried import made, views
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, image, recipe
 from worker.storage.image_files import Discarded
 from worker.storage.store import SqlStore
+from worker.storage.tables import CALLS
 
 SECOND = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b91"
 THIRD = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b92"
@@ -48,6 +54,57 @@ def test_what_is_gone_from_where(campus: SqlStore) -> None:
     assert receipt.revision == campus.maps.revision("campus")
     assert receipt.snapshots == ()
     assert campus.kept_queries.newest("campus", 5, matched=True)[1] == 0
+
+
+def answered(store: SqlStore, key: str, *views: str) -> None:
+    """An enrolment of some images, with an Idempotency-Key, the last of which is like the first."""
+    several = [enrolled() | {"view": VIEW | {"id": one, "filename": "secret.jpg"}, "warnings": []} for one in views]
+    several[-1]["warnings"] = [
+        {"code": "duplicate", "detail": f"it is like secret (view {views[0]})", "view": views[0]}
+    ]
+    body = several[0] if len(views) == 1 else {"views": several, "errors": [], "revision": 1, "timing_ms": {}}
+    store.calls.begin(key, "print", NOW)
+    store.calls.end(key, Replay(201, {}, json.dumps(body).encode()), NOW)
+
+
+def test_what_was_told_of_a_deleted_view_is_not_repeated(campus: SqlStore) -> None:
+    gate, yard, hall = (view.id for view in views(campus))
+    for key, those in (("one", [gate]), ("two", [yard, gate]), ("other", [hall])):
+        answered(campus, key, *those)
+
+    campus.removals.delete_view(gate)
+
+    one, two, other = (repeated(campus, key) for key in ("one", "two", "other"))
+    assert (one.view.id, one.view.place, one.view.metadata, one.view.description) == (gate, None, {}, None)
+    assert "secret" in (told := two.model_dump_json())
+    assert two.views[1].view.filename is two.views[1].view.position is None
+    assert two.views[1].warnings[0].view == yard  # which is still there
+    assert other.view.filename == "secret.jpg"
+    campus.removals.delete_map("campus")
+    for key in ("one", "two", "other"):
+        told = repeated(campus, key).model_dump_json()
+        assert "secret" not in told
+        assert VIEW["image"]["sha256"] not in told
+        assert VIEW["place"] not in told
+
+
+def repeated(store: SqlStore, key: str) -> Any:
+    """What a call with this key is answered again."""
+    replay = store.calls.begin(key, "print", NOW)
+    assert replay is not None
+    assert replay.status == 201
+    body = json.loads(replay.body)
+    return (EnrolledMany if "views" in body else Enrolled).model_validate(body)
+
+
+def test_answers_of_calls_go_after_a_day_also_where_nobody_calls(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.calls.begin("key", "print", NOW)
+    monkeypatch.setattr(store.calls, "_expires_at", 0)
+    store.tend()  # today is later
+    with store._database.reading() as connection:
+        assert list(connection.execute(sa.select(CALLS.c.key))) == []
 
 
 def test_snapshots_that_still_have_it_are_named_newest_first(campus: SqlStore) -> None:

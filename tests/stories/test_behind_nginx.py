@@ -7,9 +7,11 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import cv2
@@ -135,6 +137,27 @@ def test_each_refusal_of_the_proxy_is_one_that_the_service_knows() -> None:
         kind = KINDS[told["type"].removeprefix("urn:revisit:problem:")]
         assert (int(status), told["status"], told["title"]) == (kind.status, kind.status, kind.title)
         assert Problem.model_validate(told).detail
+
+
+class Slow(BaseHTTPRequestHandler):
+    """Answers once it has worked for a while, as a restoration does."""
+
+    def do_POST(self) -> None:
+        """Answer late."""
+        self.rfile.read(int(self.headers["content-length"]))
+        time.sleep(2.5)
+        self.send_response(201)
+        self.send_header("content-length", "0")
+        self.end_headers()
+
+
+def test_a_restoration_or_an_import_may_work_for_longer_than_a_query(tmp_path: Path) -> None:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Slow) as slow:
+        threading.Thread(target=slow.serve_forever, daemon=True).start()
+        with proxy(tmp_path / "nginx", f"http://127.0.0.1:{slow.server_port}", read_s=1) as client:
+            told = [client.post(path, content=b"x").status_code for path in ("/restore", "/maps/m/imports", "/query")]
+        slow.shutdown()
+    assert told == [201, 201, 503]
 
 
 def noise(side: int) -> bytes:

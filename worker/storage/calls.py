@@ -2,25 +2,45 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+import re
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime, timedelta
+from functools import partial
+from typing import Any
 
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
 from schemas.records import Replay
-from worker.storage import checksums
+from worker.storage import checksums, dialect
+from worker.storage.columns import NEVER
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
-from worker.storage.rows import as_json
+from worker.storage.rows import as_json, batches
 from worker.storage.tables import CALLS, VOCABULARIES
 
 KEPT = timedelta(hours=24)
 
 GIVEN_UP = timedelta(minutes=10)
 """After which a call without an answer no longer runs: its process was killed. Two enrolments of an image are one."""
+
+EXPIRED_EVERY_S = 3600.0
+"""Seconds between looks for calls whose time is over, where no new one looks."""
+
+FEW = 8
+"""Deleted views up to which the database looks for their ids; for more all answers are read once."""
+
+DELETED: Mapping[str, Any] = {
+    "place": None, "position": None, "captured_at": None, "metadata": {}, "filename": None, "description": None,
+}  # fmt: skip
+"""What a view that was deleted has in an answer that is repeated."""
+
+SINCE_DELETED = "it concerned a view that was deleted since"
+
+_ID = re.compile("[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 
 
 class Calls(Part):
@@ -32,6 +52,7 @@ class Calls(Part):
     def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
         self._late: dict[str, Callable[[], None]] = {}
+        self._expires_at = time.monotonic() + EXPIRED_EVERY_S
 
     def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
         """Claim an Idempotency-Key; returns the stored answer when the call has finished, None when it is new.
@@ -80,6 +101,47 @@ class Calls(Part):
             store()
             self._late.pop(key, None)
 
+    def expire(self, now: datetime) -> None:
+        """Delete calls whose time is over, now and then; raises DiskFull, StorageFailed."""
+        if time.monotonic() < self._expires_at:
+            return
+        self._expires_at = time.monotonic() + EXPIRED_EVERY_S
+        over = CALLS.c.begun_at <= now - KEPT
+        with self._database.reading() as connection:
+            if connection.execute(sa.select(CALLS.c.key).where(over).limit(1)).first() is None:
+                return
+        with self._database.writing(in_turn=False, frees=True) as connection:
+            connection.execute(sa.delete(CALLS).where(over))
+
+    def forget_views(self, views: Mapping[str, datetime]) -> None:
+        """Leave of deleted views nothing but their ids in the answers that are kept to be repeated.
+
+        Parameters
+        ----------
+        views : mapping of ids to times
+            When each was enrolled: no call names it that ended before.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+        """
+        since = max(min(views.values()), NEVER + GIVEN_UP) - GIVEN_UP
+        kept = sa.select(CALLS.c.key, CALLS.c.body).where(CALLS.c.begun_at >= since, CALLS.c.finished_at.is_not(None))
+        if len(views) <= FEW:
+            kept = kept.where(sa.or_(*map(self._named, views)))
+        with self._database.reading() as connection:
+            rows = connection.execution_options(yield_per=100).execute(kept)
+            keys = [row.key for row in rows if _names(row.body or b"", views)]
+        for portion in batches(keys):
+            self._database.freeing(partial(_forget, keys=portion, ids=views))
+
+    def _named(self, view_id: str) -> sa.ColumnElement[bool]:
+        """SQL condition that the id of a view stands in an answer."""
+        wanted = sa.literal(view_id.encode(), sa.LargeBinary)
+        if dialect.is_file(self._database.engine):
+            return sa.func.instr(CALLS.c.body, wanted) > 0
+        return sa.func.position(wanted.op("IN")(CALLS.c.body)) > 0
+
     def _store(self, key: str, store: Callable[[], None]) -> None:
         """Store the end of a call now, or later where that cannot be done."""
         with self._late_unless_done(key, store):
@@ -102,6 +164,38 @@ class Calls(Part):
     def _delete(self, *which: sa.ColumnElement[bool]) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(*which, CALLS.c.finished_at.is_(None)))
+
+
+def _names(text: bytes, ids: Collection[str]) -> bool:
+    """Whether some text has the id of one of these views."""
+    return any(found in ids for found in _ID.findall(text.decode(errors="replace")))
+
+
+def _forget(connection: sa.Connection, keys: Collection[str], ids: Collection[str]) -> None:
+    """Take what is told of deleted views out of the answers of some calls; one that is damaged goes as a whole."""
+    for row in list(connection.execute(sa.select(CALLS).where(CALLS.c.key.in_(keys)))):
+        of = CALLS.c.key == row.key
+        if row.finished_at is None or not checksums.is_whole(CALLS, row, row.checksum):
+            connection.execute(sa.delete(CALLS).where(of, CALLS.c.finished_at.is_not(None)))
+        else:
+            connection.execute(sa.update(CALLS).where(of).values(body=_without(row.body, ids)))
+
+
+def _without(body: bytes, ids: Collection[str]) -> bytes:
+    """The answer to an enrolment, of one image or of several, without what it tells of deleted views."""
+    answer = json.loads(body)
+    for one in (answer, *answer.get("views", ())):
+        view = one.get("view")
+        if isinstance(view, dict) and view["id"] in ids:
+            view |= DELETED
+            view["image"]["sha256"] = "0" * 64
+        for warning in one.get("warnings", ()):
+            if warning["view"] in ids:
+                warning["detail"] = SINCE_DELETED
+    for refused in (answer, *answer.get("errors", ())):
+        if _names(refused.get("detail", "").encode(), ids):
+            refused["detail"] = SINCE_DELETED
+    return json.dumps(answer, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def keep_vocabulary(connection: sa.Connection, digest: str, tensors: bytes) -> None:

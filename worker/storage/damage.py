@@ -24,8 +24,9 @@ log = logging.getLogger("revisit.storage")
 CODE = Damaged.code
 
 ATTRIBUTES = (
-    "its stored attributes do not fit their checksum and are not shown; enrol its image again with its place, "
-    "position, time and metadata (GET /views/{id}/image has it)"
+    "its stored attributes do not fit their checksum and are not shown; enrol its image again, the very file, with its "
+    "place, position, time and metadata: its SHA-256 is {sha256:.64}, by which it lies in the folder pictures. "
+    "GET /views/{id}/image gives it without EXIF and the like, which may be another file"
 )
 DESCRIPTION = "its {what} did not fit the checksum; it is described again from its image"
 
@@ -121,8 +122,9 @@ def set_aside_views(connection: sa.Connection, seqs: Iterable[int], now: datetim
         if view is None:
             continue
         connection.execute(sa.delete(DESCRIPTIONS).where(DESCRIPTIONS.c.seq == seq))
-        _leave_index(connection, view, ATTRIBUTES.format(id=view.id))
-        told.append(f"view {view.id} of map {view.name}: {ATTRIBUTES.format(id=view.id)}")
+        detail = ATTRIBUTES.format(id=view.id, sha256=str(row.sha256))
+        _leave_index(connection, view, detail)
+        told.append(f"view {view.id} of map {view.name}: {detail}")
     return told
 
 

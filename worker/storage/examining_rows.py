@@ -216,7 +216,7 @@ def _views(connection: sa.Connection, owners: dict[str, str]) -> Iterator[Findin
             continue  # its map is being deleted
         where = f"view {row.id} of map {owner.name!r}" if owner is not None else f"view {row.id}"
         if owner is None or not has_whole_attributes(row):
-            remedy = "enrol its image again with its attributes, or delete it"
+            remedy = "enrol its image again, the very file, with its attributes, or delete it"
             yield Finding(where, "its attributes do not fit their checksum", remedy, _set_aside(row.seq))
             continue
         if row.state not in VIEW_STATES:

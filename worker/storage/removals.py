@@ -1,7 +1,7 @@
 """Deletion: complete, and in portions, so that other writers do not wait for a large one."""
 
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -39,6 +39,8 @@ class Removals(Part):
     images : ImageStore
     holding : function
         Snapshots that have images of some digests, also of those that were being made; see `SnapshotContents.holding`.
+    forget : function
+        Takes deleted views, by their ids and when they were enrolled, out of what is kept of calls; see `Calls`.
     """
 
     def __init__(
@@ -46,9 +48,10 @@ class Removals(Part):
         database: Database,
         images: ImageStore,
         holding: Callable[[Collection[str], Sequence[str]], tuple[Holding, ...]],
+        forget: Callable[[Mapping[str, datetime]], None],
     ) -> None:
         super().__init__(database, images)
-        self._holding = holding
+        self._holding, self._forget = holding, forget
         self._unfinished: set[int] = set()
         self._finishing: threading.Thread | None = None
 
@@ -167,7 +170,9 @@ class Removals(Part):
         return replace(self._receipt(portions, None, making), queries=queries)
 
     def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
-        """What the portions deleted, each as it was in its own transaction, and what snapshots have."""
+        """What the portions deleted, each as it was in its own transaction, and what snapshots have; it is taken out of
+        the answers that are kept to be repeated."""
+        self._forget_answers({view_id: at for portion in portions for view_id, at in portion.enrolled.items()})
         digests = [digest for portion in portions for digest in portion.digests]
         started = list(dict.fromkeys([*making, *(one for portion in portions for one in portion.being_made)]))
         shared = frozenset[str]().union(*(portion.images.needed for portion in portions))
@@ -183,12 +188,20 @@ class Removals(Part):
             snapshots=self._holding(digests, started),
         )
 
+    def _forget_answers(self, views: Mapping[str, datetime]) -> None:
+        try:
+            if views:
+                self._forget(views)
+        except (DiskFull, StorageFailed) as error:  # the views are gone all the same
+            log.warning("answers that name deleted views are kept until their day is over: %s", error.detail)
+
     def _remove(self, map_id: int, seqs: Sequence[int]) -> "_Gone":
         """Delete views of a map, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
             which = VIEWS.c.seq.in_(seqs)
-            rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256).where(which)))
+            columns = VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256, VIEWS.c.enrolled_at
+            rows = list(connection.execute(sa.select(*columns).where(which)))
             descriptions = searched = queries = scores = 0
             if rows:
                 there = list(connection.execute(_DESCRIBED, {"seqs": seqs}))
@@ -205,7 +218,9 @@ class Removals(Part):
             digests = [str(row.sha256) for row in rows]
             # One that is claimed after this transaction reads what this one leaves.
             making = _being_made(connection, map_id)
-            return _Gone(len(rows), _NONE, int(revision), digests, descriptions, searched, queries, scores, making)
+            enrolled = {str(row.id): row.enrolled_at for row in rows}
+            counts = descriptions, searched, queries, scores
+            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making, enrolled)
 
         gone = self._database.freeing(remove)
         images = self._images.discard(gone.digests)
@@ -225,6 +240,7 @@ class _Gone(NamedTuple):
     queries: int
     scores: int
     being_made: list[str]
+    enrolled: dict[str, datetime]
 
 
 _NONE = Discarded(0, frozenset())

@@ -107,7 +107,7 @@ class SqlStore:
         files = images.files
         place = SnapshotFolder(data / SNAPSHOTS) if files is None else SnapshotObjects(files, scratch)
         self.snapshots = Snapshots(database, images, data / SNAPSHOTS, place)
-        self.removals = Removals(database, images, self.snapshots.holding)
+        self.removals = Removals(database, images, self.snapshots.holding, self.calls.forget_views)
         self.restoring = Restoring(database, images, self.removals)
         here = data / IMPORTS, database.space
         self.uploads = Uploads(*here) if files is None else SharedUploads(*here, files, scratch)
@@ -209,6 +209,7 @@ class SqlStore:
         self.removals.finish_late()
         with suppress(DiskFull, StorageFailed):
             self.calls.finish_late()
+            self.calls.expire(datetime.now(UTC))
 
     def close(self) -> None:
         """Close connections and release the data folder; a second time does nothing."""

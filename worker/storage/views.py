@@ -153,7 +153,7 @@ class Views(Part):
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
             if not has_whole_attributes(before):
-                raise Damaged(ATTRIBUTES.format(id=view_id))
+                raise Damaged(ATTRIBUTES.format(id=view_id, sha256=str(before.sha256)))
             attributes = change(attributes_of(before))
             columns = attribute_columns(attributes)
             if any(value != getattr(before, column) for column, value in columns.items()):

@@ -93,7 +93,7 @@ async def follow_job(
     responses=refusals("not-found", "conflict"),
 )
 async def cancel_job(job_id: JobId, curator: Curates, access: Accesses) -> Job:
-    """Cancel a describe job that is waiting, or a recipe, vocabulary or import job that has not finished.
+    """Cancel a describe job that is waiting, or a job of another kind that has not finished.
 
     The scope `write` cancels describe and import jobs, which it begins; the others need `admin`.
     """
