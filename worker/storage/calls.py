@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
 from schemas.records import Replay
-from worker.storage import checksums
+from worker.storage import checksums, clock
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
@@ -33,8 +33,15 @@ class Calls(Part):
         super().__init__(database, images)
         self._late: dict[str, Callable[[], None]] = {}
 
-    def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
+    def begin(self, key: str, fingerprint: str, now: datetime, *, shared: bool = False) -> Replay | None:
         """Claim an Idempotency-Key; returns the stored answer when the call has finished, None when it is new.
+
+        Parameters
+        ----------
+        key, fingerprint : str
+        now : datetime
+        shared : bool
+            Go by the clock of the database's server instead, if it has one: the services of a fleet differ in theirs.
 
         Raises
         ------
@@ -46,8 +53,13 @@ class Calls(Part):
         if key in self._late:
             self.finish_late()
         own = key.partition(" ")[0]  # behind it stands whose it is
-        mine = CALLS.c.key == key, CALLS.c.begun_at == now
-        with self._late_unless_done(key, lambda: self._delete(*mine)), self._database.writing() as connection:
+
+        def forget() -> None:
+            self._delete(CALLS.c.key == key, CALLS.c.begun_at == now)
+
+        with self._late_unless_done(key, forget), self._database.writing() as connection:
+            if shared and connection.dialect.name == "postgresql":
+                now = clock.shared_time(connection)
             given_up = CALLS.c.finished_at.is_(None) & (CALLS.c.begun_at <= now - GIVEN_UP)
             connection.execute(sa.delete(CALLS).where((CALLS.c.begun_at <= now - KEPT) | given_up))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
