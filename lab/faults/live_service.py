@@ -18,8 +18,9 @@ SETTLE_S = 60.0
 """Seconds within which a few images must be described."""
 
 
-QUICK = {"REVISIT_LEASE_S": "1"}
-"""What a killed process was describing is described again after so long: every check after a kill waits for it."""
+QUICK = {"REVISIT_DECODERS": "1", "REVISIT_LEASE_S": "1"}
+"""What a killed process was describing is described again after a second: every check after a kill waits for it. A
+further decoder would take as long to start as the service itself."""
 
 
 class LiveService:

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tests.storage.databases import DATABASES, data_folder, postgres_schema, sqlite_url
+from tests.storage.databases import DATABASES, data_folder, postgres_schema, postgres_tables, put_tables, sqlite_url
 from tests.storage.object_store import ADDRESS, BUCKET, PREFIX, ObjectStore, aws, server
 from worker.storage.store import SqlStore, open_store
 
@@ -23,11 +22,14 @@ def data() -> Iterator[Path]:
 
 @pytest.fixture(params=DATABASES)
 def database_url(request: pytest.FixtureRequest, data: Path) -> Iterator[str]:
-    """URL of an empty database."""
+    """URL of an empty database, which has its tables already where an empty store is wanted."""
+    wanted = "store" in request.fixturenames
     if request.param == "sqlite":
+        if wanted:
+            put_tables(data)
         yield sqlite_url(data)
         return
-    with postgres_schema() as url:
+    with postgres_tables() if wanted else postgres_schema() as url:
         yield url
 
 
@@ -45,27 +47,19 @@ def reopen(database_url: str, data: Path) -> Iterator[Open]:
         store.close()
 
 
-@cache
-def migrated_file() -> bytes:
-    """A SQLite file with all tables: going through the migrations takes longer than most tests."""
-    with data_folder() as folder:
-        open_store(sqlite_url(folder), folder).close()
-        return (folder / "revisit.db").read_bytes()
-
-
 @pytest.fixture
-def store(database_url: str, data: Path, reopen: Open) -> SqlStore:
+def store(reopen: Open) -> SqlStore:
     """An empty store."""
-    if database_url == sqlite_url(data):
-        (data / "revisit.db").write_bytes(migrated_file())
     return reopen()
 
 
 @pytest.fixture
 def elsewhere() -> Iterator[SqlStore]:
     """An empty store on another machine, on SQLite."""
-    with data_folder() as folder, closing(open_store(sqlite_url(folder), folder)) as store:
-        yield store
+    with data_folder() as folder:
+        put_tables(folder)
+        with closing(open_store(sqlite_url(folder), folder)) as store:
+            yield store
 
 
 class Place:
@@ -107,11 +101,12 @@ def place(request: pytest.FixtureRequest, data: Path, monkeypatch: pytest.Monkey
         for name, value in aws(objects.url).items():
             monkeypatch.setenv(name, value)
     if request.param.endswith("postgresql"):
-        with postgres_schema() as url:
+        with postgres_tables() as url:
             made = Place(data, url, objects)
             yield made
             made.store.close()
         return
+    put_tables(data)
     made = Place(data, sqlite_url(data), objects)
     yield made
     made.store.close()

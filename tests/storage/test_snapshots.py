@@ -1,6 +1,7 @@
 """A snapshot gives the same map back, on either database, as of one moment."""
 
 import subprocess
+import tarfile
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any, NoReturn
 
 import pytest
 import sqlalchemy as sa
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 
 from schemas.errors import Conflict, Damaged, NotFound, StorageFailed
 from schemas.records import Filters, ViewAttributes
@@ -16,7 +17,7 @@ from tests.storage.carried import JOB, contents, filled, made, views
 from tests.storage.databases import data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
 from worker.service.snapshots import SnapshotService
-from worker.storage import snapshot_portions
+from worker.storage import snapshot_files, snapshot_portions
 from worker.storage.again import RolledBack
 from worker.storage.snapshot_files import SnapshotReader
 from worker.storage.snapshot_portions import MOST_BYTES, MOST_VIEWS, Portions, SizedView, portions
@@ -87,6 +88,24 @@ def test_any_tar_program_can_look_into_it(store: SqlStore) -> None:
     assert listed[0] == "snapshot.json"
     assert listed[-2:] == ["manifest.ndjson", "manifest.sha256"]
     assert sum(name.startswith("images/") for name in listed) == 5
+
+
+@given(
+    name=st.sampled_from(("snapshot.json", f"images/{'0f' * 32}", "descriptions/000001.bin", "manifest.ndjson")),
+    size=st.integers(0, snapshot_files.MOST_SIZE),
+)
+@example(name="views/000012.ndjson", size=snapshot_files.MOST_SIZE)
+def test_headers_are_those_of_tarfile(name: str, size: int) -> None:
+    part = tarfile.TarInfo(name)
+    part.size, part.mode = size, 0o644
+
+    assert snapshot_files._header(name, size) == part.tobuf(tarfile.GNU_FORMAT)
+
+
+@pytest.mark.parametrize("size", [-1, snapshot_files.MOST_SIZE + 1])
+def test_a_size_that_no_header_can_tell_is_refused(size: int) -> None:
+    with pytest.raises(ValueError, match="has no header"):
+        snapshot_files._header("manifest.ndjson", size)
 
 
 def test_it_is_the_map_of_one_moment_while_the_service_works(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.storage.databases import DATABASES, postgres_schema
+from tests.storage.databases import DATABASES, postgres_tables
 from tests.stories import running
 
 SQLITE, POSTGRESQL = DATABASES
@@ -29,7 +29,7 @@ def database(request: pytest.FixtureRequest) -> Iterator[str]:
 
         def url_of(data: Path) -> str:
             if data not in rows:
-                rows[data] = schemas.enter_context(postgres_schema())
+                rows[data] = schemas.enter_context(postgres_tables())
             return rows[data]
 
         if kind == POSTGRESQL:

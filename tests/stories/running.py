@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 
 from schemas.settings import Settings
+from tests.storage.databases import put_tables
 from tests.stories.warm import Forked, can_be_forked
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,15 +30,24 @@ rows_of: Callable[[Path], str] | None = None
 
 def settings(data: Path, **said: Any) -> Settings:
     """Settings of a service inside the test, whose rows lie where `rows_of` says, with the encoder without weights."""
-    database = None if rows_of is None else rows_of(data)
+    database = _tables(data)
     return Settings.model_validate({"data": data, "database": database, "encoder": "color", "threads": 1, **said})
 
 
+def _tables(data: Path) -> str | None:
+    """URL of the database with the rows of a data folder; None: it lies in the folder. It has its tables already."""
+    if rows_of is not None:
+        return rows_of(data)
+    if not (data / "revisit.db").exists():
+        put_tables(data)
+    return None
+
+
 def variables(data: Path, environment: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
-    """Variables of a process that needs no weights; `environment` goes before them."""
-    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1"}
-    if rows_of is not None and "REVISIT_DATABASE" not in environment:
-        ours["REVISIT_DATABASE"] = rows_of(data)
+    """Variables of a process that needs no weights, with one decoder; `environment` goes before them."""
+    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1", "REVISIT_DECODERS": "1"}
+    if "REVISIT_DATABASE" not in environment and (database := _tables(data)) is not None:
+        ours["REVISIT_DATABASE"] = database
     clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
     return {**clean, **ours, **environment}
 

@@ -24,7 +24,10 @@ def decoders_of(service: RunningService) -> list[int]:
 
 def test_a_service_whose_decoders_are_killed_goes_on(tmp_path: Path) -> None:
     stop, answers = threading.Event(), list[int]()
-    with RunningService(tmp_path / "data") as service, httpx.Client(base_url=service.url, timeout=60) as client:
+    with (
+        RunningService(tmp_path / "data", REVISIT_DECODERS="2") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
 
         def send() -> None:
             seed = 0

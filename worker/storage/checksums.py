@@ -102,14 +102,13 @@ def labelled(table: sa.Table, prefix: str) -> list[sa.Label[Any]]:
     return [table.c[name].label(f"{prefix}_{name}") for name in (*COVERED[table.name], "checksum")]
 
 
-def is_whole_labelled(table: sa.Table, row: sa.Row[Any], prefix: str) -> bool:
-    """Whether the columns of a table that `labelled` named fit their checksum."""
-    mapping = row._mapping
+def is_whole_labelled(table: sa.Table, row: Mapping[str, Any] | sa.RowMapping, prefix: str) -> bool:
+    """Whether the columns of a table that `labelled` named fit their checksum; `row` has them by these names."""
     try:
-        found = of_values(zip(COVERED[table.name], [mapping[one] for one in _labels(table, prefix)], strict=True))
+        found = of_values(zip(COVERED[table.name], [row[one] for one in _labels(table, prefix)], strict=True))
     except (OverflowError, UnicodeError):
         return False
-    return bool(found == mapping[f"{prefix}_checksum"])
+    return bool(found == row[f"{prefix}_checksum"])
 
 
 @cache

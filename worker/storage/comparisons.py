@@ -228,7 +228,7 @@ def _whole_same_spot(row: sa.Row[Any]) -> frozenset[int] | None:
     if row.compared_same_spot is None:
         return None
     try:
-        if not checksums.is_whole_labelled(COMPARISONS, row, "compared"):
+        if not checksums.is_whole_labelled(COMPARISONS, row._mapping, "compared"):
             raise ValueError("the row does not fit its checksum")
         return frozenset(json.loads(row.compared_same_spot)) if row.compared_same_spot else NOTHING
     except ValueError:

@@ -76,7 +76,7 @@ class DayScores(Part):
             wanted = sa.select(VIEWS, *checksums.labelled(DAY_SCORES, "scored")).select_from(joined).where(*own)
             views: dict[int, tuple[sa.Row[Any], list[DayScore]]] = {}
             for one in connection.execute(wanted.order_by(VIEWS.c.seq, DAY_SCORES.c.day)):
-                if not checksums.is_whole_labelled(DAY_SCORES, one, "scored"):
+                if not checksums.is_whole_labelled(DAY_SCORES, one._mapping, "scored"):
                     log.error("view %s: its stored scores of one day are damaged; they are left out", one.id)
                     continue
                 day = DayScore(_EPOCH + timedelta(days=one.scored_day), one.scored_matches, one.scored_total)

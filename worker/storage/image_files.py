@@ -236,7 +236,7 @@ class Images:
     def _path(self, digest: str) -> Path:
         if not DIGEST.fullmatch(digest):
             raise ValueError(f"{digest!r} is no SHA-256")
-        return self._folder / digest[:2] / digest[2:4] / digest
+        return self._folder.joinpath(digest[:2], digest[2:4], digest)
 
     @contextmanager
     def _locked(self, first: str) -> Iterator[None]:

@@ -41,6 +41,9 @@ MOST_FACTS = 16 * 1024 * 1024
 MOST_PART = 1024 * 1024 * 1024
 """Bytes of the largest part: each is read into memory whole."""
 
+MOST_SIZE = 8**11 - 1
+"""Bytes of a part that a header can tell, in octal digits."""
+
 MOST_WAITING = 16 * 1024 * 1024
 """Bytes of parts that wait to be written: some two portions of views."""
 
@@ -77,11 +80,32 @@ class Part:
     bodies: bytes = b""
 
 
+_MODE = 0o644
+_SIZES, _SUM = slice(124, 136), slice(148, 156)
+"""Where a header has the size of its part, and the sum of its own bytes with spaces in its place (POSIX ustar)."""
+
+
+def _blank() -> bytes:
+    """A header without name, size and sum."""
+    part = tarfile.TarInfo()
+    part.mode = _MODE
+    blank = bytearray(part.tobuf(tarfile.GNU_FORMAT, "ascii", "strict"))
+    blank[_SUM] = b" " * 8
+    return bytes(blank)
+
+
+_BLANK = _blank()
+
+
 def _header(name: str, size: int) -> bytes:
-    """The one header that a part of this name and size has."""
-    part = tarfile.TarInfo(name)
-    part.size, part.mode = size, 0o644
-    return part.tobuf(tarfile.GNU_FORMAT, "ascii", "strict")
+    """The one header that a part of this name, of at most 100 characters, and size has: as tarfile makes it."""
+    if not 0 <= size <= MOST_SIZE:
+        raise ValueError(f"a part of {size} bytes has no header")
+    header = bytearray(_BLANK)
+    header[: len(name)] = name.encode("ascii")
+    header[_SIZES] = b"%011o\0" % size
+    header[_SUM] = b"%06o\0 " % sum(header)
+    return bytes(header)
 
 
 def _padding(size: int) -> bytes:
@@ -96,7 +120,7 @@ class SnapshotWriter:
     Parameters
     ----------
     file : binary file
-        New, and seekable.
+        New and empty, and seekable.
     facts : SnapshotFacts
         With counts that may still change.
     """
@@ -108,7 +132,7 @@ class SnapshotWriter:
         self._numbers: dict[str, int] = {}
         self._facts_size = len(_as_bytes(facts)) + _SLACK
         self.image_bytes = self.row_bytes = 0
-        self._begun = 0  # up to where the disk has been told to begin
+        self._end = self._begun = 0  # of the parts so far, and up to where the disk has been told to begin
         self._put(FACTS, bytes(self._facts_size))
 
     def add(self, name: str, pieces: Sequence[bytes]) -> None:
@@ -141,10 +165,9 @@ class SnapshotWriter:
         first = _as_bytes(facts).ljust(self._facts_size)
         if len(first) != self._facts_size:
             raise ValueError("the facts grew by more than their counts")
-        end = self._file.tell()
         self._file.seek(BLOCK)
         self._file.write(first)
-        self._file.seek(end)
+        self._file.seek(self._end)
         opening = _manifest_line(FACTS, hashlib.sha256(first).hexdigest(), len(first))
         size = len(opening) + self._lines.tell()
         self._file.write(_header(MANIFEST, size) + opening)
@@ -164,24 +187,26 @@ class SnapshotWriter:
         self._thread.close()
         self._lines.close()
 
-    def _put(self, name: str, body: bytes) -> None:
-        self._file.write(_header(name, len(body)))
-        self._file.write(body)
-        self._file.write(_padding(len(body)))
-        end = self._file.tell()
-        if end - self._begun >= WRITTEN_AHEAD and hasattr(os, "posix_fadvise"):  # macOS has none
-            os.posix_fadvise(self._file.fileno(), self._begun, end - self._begun, os.POSIX_FADV_DONTNEED)
-            self._begun = end
+    def _put(self, name: str, *pieces: bytes) -> int:
+        """Write a part; returns the size of its pieces together."""
+        size = sum(map(len, pieces))
+        padding = _padding(size)
+        self._file.writelines((_header(name, size), *pieces, padding))
+        self._end += BLOCK + size + len(padding)
+        if self._end - self._begun >= WRITTEN_AHEAD and hasattr(os, "posix_fadvise"):  # macOS has none
+            os.posix_fadvise(self._file.fileno(), self._begun, self._end - self._begun, os.POSIX_FADV_DONTNEED)
+            self._begun = self._end
+        return size
 
     def _add(self, name: str, pieces: Sequence[bytes]) -> None:
-        body = b"".join(pieces)
-        self._put(name, body)
-        self._lines.write(_manifest_line(name, hashlib.sha256(body).hexdigest(), len(body)))
+        digest = hashlib.sha256()
+        for piece in pieces:
+            digest.update(piece)
+        self._lines.write(_manifest_line(name, digest.hexdigest(), self._put(name, *pieces)))
 
     def _add_images(self, images: Sequence[tuple[str, bytes]]) -> None:
         for digest, image in images:
-            self._put(f"{IMAGE}{digest}", image)
-            self._lines.write(_manifest_line(f"{IMAGE}{digest}", digest, len(image)))
+            self._lines.write(_manifest_line(f"{IMAGE}{digest}", digest, self._put(f"{IMAGE}{digest}", image)))
 
 
 def _as_bytes(facts: SnapshotFacts) -> bytes:
@@ -312,10 +337,9 @@ def _read_header(file: BinaryIO) -> tuple[str, int]:
     """Name and size of the next part; raises BadSnapshot for any header that is not written so here."""
     raw = file.read(BLOCK)
     try:
-        part = tarfile.TarInfo.frombuf(raw, "ascii", "strict")
-        name, size = part.name, part.size
+        name, size = raw[:100].rstrip(b"\0").decode("ascii"), int(raw[_SIZES].rstrip(b"\0"), 8)
         sound = bool(_NAME.fullmatch(name)) and _header(name, size) == raw
-    except (tarfile.HeaderError, ValueError):
+    except ValueError:
         sound = False
     if not sound:
         where = file.tell() - len(raw)

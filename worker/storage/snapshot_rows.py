@@ -1,7 +1,7 @@
 """Conversion between rows and the lines of a snapshot; damaged rows never get into one."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from functools import cache
 from itertools import chain
@@ -26,8 +26,6 @@ PARTS = {"vectors": VECTORS, "appearances": APPEARANCES, "cells": CELLS, "keypoi
 BODIES = ("label_shares", *PARTS)
 """Bodies of a description, in the order in which a snapshot has them."""
 
-_COLUMNS = tuple(VIEWS.c.keys())
-
 _JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 
 DAMAGED_VIEW = (
@@ -51,7 +49,9 @@ def written_views(connection: sa.Connection, seqs: Sequence[int], recipe: Descri
     """
     of = recipe.id  # a hash of all of it, made anew each time it is read
     rows = connection.execute(_rows(), {"seqs": seqs, "recipe": of}).all()
-    return [_written(row, _described(row, recipe, of)) for row in rows]
+    names = tuple(_rows().selected_columns.keys())
+    knowns = [dict(zip(names, row, strict=True)) for row in rows]  # many times as quick as a column at a time
+    return [_written(row, known, _described(known, recipe, of)) for row, known in zip(rows, knowns, strict=True)]
 
 
 def comparison_lines(
@@ -84,10 +84,9 @@ def comparison_lines(
         ]
 
 
-def _written(row: sa.Row[Any], described: "_Described | None") -> WrittenView:
+def _written(row: sa.Row[Any], known: Mapping[str, Any], described: "_Described | None") -> WrittenView:
     if not has_whole_attributes(row):
         raise Damaged(DAMAGED_VIEW.format(row.id))
-    known = dict(zip(_COLUMNS, row, strict=False))  # many times as quick as a column at a time
     ready, failed = known["state"] == "ready" and described is not None, known["state"] == "failed"
     view = {
         "number": known["seq"],
@@ -124,19 +123,19 @@ class _Described(NamedTuple):
     bodies: dict[str, bytes]
 
 
-def _described(row: sa.Row[Any], recipe: DescriptionRecipe, of: str) -> _Described | None:
+def _described(known: Mapping[str, Any], recipe: DescriptionRecipe, of: str) -> _Described | None:
     """The description in a row of `_rows` by a recipe with the id `of`; None unless all of it is there and whole."""
-    if row.described_seq is None or not checksums.is_whole_labelled(DESCRIPTIONS, row, "described"):
+    if known["described_seq"] is None or not checksums.is_whole_labelled(DESCRIPTIONS, known, "described"):
         return None
-    bodies = {"label_shares": row.described_label_shares}
+    bodies = {"label_shares": known["described_label_shares"]}
     for name in PARTS:
-        body, checksum = getattr(row, name), getattr(row, f"{name}_checksum")
+        body = known[name]
         if body is None and name == "keypoints" and recipe.parameters.local_features is None:
             continue
-        if body is None or checksums.of_body(row.seq, of, body) != checksum:
+        if body is None or checksums.of_body(known["seq"], of, body) != known[f"{name}_checksum"]:
             return None
         bodies[name] = body
-    facts = {name: getattr(row, f"described_{name}") for name in ("descriptor_count", "static_share", "nodes")}
+    facts = {name: known[f"described_{name}"] for name in ("descriptor_count", "static_share", "nodes")}
     return _Described(facts, bodies)
 
 
