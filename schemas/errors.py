@@ -10,7 +10,7 @@
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static        PoorImage   poor-picture
     ├── NotFound           not-found             ImageNotKept image-not-kept
-    ├── Conflict           conflict              BlurChanged conflict
+    ├── Conflict           conflict              BlurChanged, RecipeChanged conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden       OtherSite other-site
     ├── Busy               too-many-requests     Unavailable, StorageFailed, EncoderAway  unavailable
@@ -180,6 +180,10 @@ class Conflict(RevisitError):
 
 class BlurChanged(Conflict):
     """A map blurs other things than were blurred in an image that is about to be stored: it is to be blurred anew."""
+
+
+class RecipeChanged(Conflict):
+    """A map has another recipe or ranking than the one that its next recipe was made from: it is to be made anew."""
 
 
 class KeyReused(RevisitError):

@@ -40,8 +40,10 @@ RECEIVED_AT_ONCE = 1_000_000
 class Calls(Protocol):
     """Remembers the answers to calls with an Idempotency-Key for 24 hours; `worker.storage.calls.Calls` is one."""
 
-    def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
+    def begin(self, key: str, fingerprint: str, now: datetime, *, shared: bool = False) -> Replay | None:
         """Claim a key; returns the answer to repeat when the call with that key has finished, else None.
+
+        `shared`: go by a clock that all services of a fleet share, if there is one, instead of `now`.
 
         Raises
         ------
@@ -362,7 +364,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def begin_call(self, key: str, fingerprint: str) -> Replay | None:
         """Claim an Idempotency-Key; see `Calls.begin`."""
-        return await asyncio.to_thread(self._calls.begin, key, fingerprint, steady.now())
+        return await asyncio.to_thread(self._calls.begin, key, fingerprint, steady.now(), shared=True)
 
     async def end_call(self, key: str, replay: Replay) -> None:
         """Remember the answer to a call; see `Calls.end`."""

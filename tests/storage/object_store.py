@@ -12,6 +12,7 @@ import boto3
 from moto.server import ThreadedMotoServer
 
 from worker.storage.owner_file import OWNER
+from worker.storage.signs import ALIVE
 
 BUCKET = "places"
 ADDRESS = f"s3://{BUCKET}/museum/images"
@@ -58,9 +59,9 @@ class ObjectStore:
         return {"REVISIT_IMAGES": ADDRESS, **aws(self.url)}
 
     def names(self) -> list[str]:
-        """Names of all objects below the prefix, but for the one that says of which database they are."""
+        """Names of all objects below the prefix, but for those that say of which database they are."""
         found = self.client.list_objects_v2(Bucket=BUCKET, Prefix=PREFIX).get("Contents", [])
-        return sorted({str(each["Key"]).removeprefix(PREFIX) for each in found} - {OWNER})
+        return sorted({str(each["Key"]).removeprefix(PREFIX) for each in found} - {OWNER, ALIVE})
 
     def unfinished(self) -> list[str]:
         """Names of the objects whose upload has not ended."""
@@ -69,7 +70,7 @@ class ObjectStore:
 
     def empty(self) -> None:
         """Remove all objects."""
-        for name in (*self.names(), OWNER):
+        for name in (*self.names(), OWNER, ALIVE):
             self.client.delete_object(Bucket=BUCKET, Key=PREFIX + name)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -10,6 +10,7 @@ import pytest
 from schemas.errors import Conflict, StorageFailed
 from schemas.records import Replay
 from tests.storage.material import NOW
+from worker.storage import clock
 from worker.storage.database import Database
 from worker.storage.store import SqlStore
 
@@ -83,3 +84,31 @@ def test_a_call_that_cannot_have_an_answer_any_more_may_be_tried_again(store: Sq
     with pytest.raises(Conflict):
         store.calls.begin("key", "fingerprint", NOW + timedelta(minutes=9))
     assert store.calls.begin("key", "fingerprint", NOW + timedelta(minutes=10)) is None
+
+
+def test_calls_of_a_fleet_end_by_the_clock_of_the_database_whatever_those_of_the_services_say(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service whose clock is behind by a day saw its calls forgotten by the others, while they ran."""
+    if store._database.engine.dialect.name != "postgresql":
+        pytest.skip("with SQLite one service has the database")
+    behind, ahead = NOW - timedelta(days=2), NOW + timedelta(days=2)
+    store.calls.begin("done", "fingerprint", behind, shared=True)
+    store.calls.end("done", DONE, behind)
+    store.calls.begin("runs", "fingerprint", behind, shared=True)
+
+    assert store.calls.begin("done", "fingerprint", ahead, shared=True) == DONE
+    with pytest.raises(Conflict):
+        store.calls.begin("runs", "fingerprint", ahead, shared=True)
+
+    later = datetime.now(UTC) + timedelta(minutes=11)
+    monkeypatch.setattr(clock, "shared_time", lambda connection: later)
+    assert store.calls.begin("runs", "fingerprint", behind, shared=True) is None
+
+
+def test_a_beginning_of_which_nobody_knows_is_forgotten_by_the_clock_of_the_database_too(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with refusing(monkeypatch, committed=True), pytest.raises(StorageFailed):
+        store.calls.begin("key", "fingerprint", NOW, shared=True)
+    assert store.calls.begin("key", "fingerprint", NOW, shared=True) is None

@@ -3,6 +3,7 @@
 from datetime import timedelta
 from itertools import accumulate, pairwise
 
+import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from schemas.records import Filters, ViewAttributes
@@ -80,6 +81,21 @@ def test_after_a_restart_the_time_goes_on_from_the_newest_view(reopen: Open) -> 
     at(again, 2, -(10**6), 6.0)
     assert searched(again, 60) == [first]
     assert searched(again, 61) == []
+
+
+@pytest.mark.parametrize("ahead_s", [-3600, -1, 1, 3600])
+def test_services_whose_clocks_differ_enrol_in_turn_and_count_what_passed(reopen: Open, ahead_s: int) -> None:
+    right, wrong = reopen(), reopen()
+    before = at(right, 100, -10, 4990.0)
+    ids = []
+    for second in range(20):
+        if second % 2:
+            ids.append(at(wrong, second, second + ahead_s, 700.0 + second))
+        else:
+            ids.append(at(right, second, second, 5000.0 + second))
+    # What it thinks of the second before its first enrolment is all that a wrong clock changes.
+    assert searched(right, 6) in [[before, *ids[:first]] for first in (12, 13, 14)]
+    assert searched(right, 11) in [[before, *ids[:first]] for first in (7, 8, 9)]
 
 
 def test_pages_and_ids_keep_the_order_of_enrolment_when_the_clock_goes_back(store: SqlStore) -> None:

@@ -42,6 +42,34 @@ def test_a_map_keeps_as_many_as_it_is_told_and_drops_the_oldest(store: SqlStore)
     keep(store, "f", map="moon")
 
 
+def test_what_is_kept_last_is_the_newest_whatever_the_clock_of_who_answered_says(store: SqlStore) -> None:
+    """Ids of queries are made by each process's own clock: one may be behind, or be set back at a start."""
+    view = enroll(store, "gate").view
+    store.maps.change("campus", MapChanges(keep_queries=3, keep_matches=2))
+    keep(store, "f", "g", "h", "b", "a")
+    assert kept(store) == ["h", "b", "a"]
+    assert kept(store, most=1) == ["a"]
+    for query_id in ("5", "6", "2", "1"):
+        match(store, query_id, view.seq)
+    assert [query_id for query_id, _, _ in matched(store)] == ["2", "1"]
+    assert [query.id for query in store.kept_queries.newest("campus", 4, matched=None)[0]] == ["b", "a", "2", "1"]
+    store.maps.change("campus", MapChanges(keep_queries=2))
+    assert kept(store) == ["b", "a"]
+
+
+def test_queries_of_before_are_older_than_those_kept_since_and_keep_their_order(
+    store: SqlStore, database_url: str
+) -> None:
+    enroll(store, "gate")
+    store.maps.change("campus", MapChanges(keep_queries=4))
+    keep(store, "g", "f", "h")
+    with store._database.writing() as connection:  # as migration 0022 leaves them, and a version before keeps them
+        unnumbered = {"number": 0, "checksum": KEPT_QUERIES.c.checksum}
+        connection.execute(sa.update(KEPT_QUERIES).values(**unnumbered))
+    keep(store, "b", "a")
+    assert kept(store) == ["g", "h", "b", "a"]
+
+
 def test_what_is_kept_is_what_was_described(store: SqlStore) -> None:
     enroll(store, "gate")
     store.maps.change("campus", MapChanges(keep_queries=3))

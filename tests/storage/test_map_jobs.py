@@ -225,6 +225,28 @@ def test_the_descriptions_before_stay_for_a_way_back_and_older_ones_go(store: Sq
     assert (back.state, back.progress) == ("done", JobProgress(0, 0))
 
 
+def test_what_a_deleted_map_learned_goes_and_what_another_one_uses_stays(store: SqlStore) -> None:
+    """A vocabulary is made of a map's images: a deletion is complete without it."""
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    store.jobs.finish_training(claim, LEARNED, TENSORS, NOW)
+    describe_all(store)
+    assert store.jobs.get(job.id).state == "done"
+    enroll(store, "gate", map="museum", by=PAPER)
+    assert store.pruning.prune() == 0
+    assert store.vocabularies.get(LEARNED.vocabulary) == TENSORS
+
+    store.removals.delete_map("campus")
+    assert store.pruning.prune() == 0
+
+    with pytest.raises(NotFound):
+        store.vocabularies.get(LEARNED.vocabulary)
+    assert store.maps.labels(LEARNED.id) == ()
+    assert store.maps.description(PAPER.description.id) == PAPER.description
+
+
 def test_jobs_are_listed_newest_first_by_map_kind_and_state(store: SqlStore) -> None:
     campus_of_two(store)
     enroll(store, "door", map="museum")

@@ -324,6 +324,13 @@ def without_later(connection: sa.Connection) -> None:
         connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")
 
 
+def without_0022(connection: sa.Connection) -> None:
+    """Take away what came with revision 0022."""
+    connection.exec_driver_sql("DROP INDEX kept_queries_in_order")
+    connection.exec_driver_sql("ALTER TABLE kept_queries DROP COLUMN number")
+    connection.exec_driver_sql("CREATE INDEX kept_queries_by_map ON kept_queries (map_id, id)")
+
+
 def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> None:
     """The same rows as this version writes, and so no finding: written without checksums, then migrated."""
     store = open_store(database_url, data)

@@ -2,16 +2,18 @@
 
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from schemas.errors import SetupError
+from tests.storage.carried import JOB
 from tests.storage.conftest import Place
 from tests.storage.databases import data_folder, sqlite_url
 from tests.storage.material import enroll, facts, image
 from tests.storage.object_store import BUCKET, PREFIX
-from tests.storage.test_migrations import set_revision
+from tests.storage.test_migrations import set_revision, without_0022
 from tests.waiting import until
 from worker.storage.database import Database
 from worker.storage.examining import examine
@@ -107,6 +109,32 @@ def test_the_doctor_calls_none_of_them_orphans_and_removes_none(place: Place, ot
     assert place.store.views.image(theirs.id) == image("gate")
 
 
+@pytest.mark.parametrize("place", ["objects", "objects, postgresql"], indirect=True)
+def test_recordings_and_snapshots_of_another_database_are_not_swept(
+    place: Place, other: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of their jobs is known to it, so that all of them look like what a crash left."""
+    assert place.objects is not None
+    assert other.leftovers is not None
+    assert place.store.leftovers is not None
+    for of in (other.leftovers, place.store.leftovers):
+        monkeypatch.setattr(of, "sweep", partial(of.sweep, 0.0))  # however young
+    enroll(place.store, "gate")
+    served(place)
+    names = [f"imports/{JOB}/upload", f"snapshots/{JOB}.digests"]
+    for name in names:
+        place.objects.client.put_object(Bucket=BUCKET, Key=PREFIX + name, Body=b"theirs")
+    place.objects.client.create_multipart_upload(Bucket=BUCKET, Key=f"{PREFIX}snapshots/{JOB}.snapshot")
+    before = place.objects.names(), place.objects.unfinished()
+
+    assert not other.leftovers.step()
+    assert (place.objects.names(), place.objects.unfinished()) == before
+
+    assert place.store.leftovers.step()
+    assert not set(names) & set(place.objects.names())
+    assert place.objects.unfinished() == []
+
+
 def test_a_damaged_file_says_nothing_and_is_written_anew(place: Place) -> None:
     enroll(place.store, "gate")
     served(place)
@@ -139,6 +167,7 @@ def _migrated_again(url: str, data: Path) -> str | None:
     try:
         with database.writing() as connection:
             connection.exec_driver_sql("DROP TABLE installation")
+            without_0022(connection)
         set_revision(database, "0020")
         migrate(url, data)
         with database.reading() as connection:

@@ -3,7 +3,9 @@
 import pytest
 import sqlalchemy as sa
 
-from schemas.errors import Conflict
+from schemas.errors import Conflict, InvalidParameters, RecipeChanged
+from schemas.map_changes import MapChanges
+from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import Filters, JobRecord
 from tests.storage.material import NOW, RECIPE, Follower, describe_all, enroll, finish, recipe, vector
 from worker.storage.store import SqlStore
@@ -184,3 +186,58 @@ def test_a_map_without_views_changes_over_at_once(store: SqlStore) -> None:
     store.maps.put("campus", RECIPE, NOW)
     assert queued(store.jobs.switch_recipe("campus", PAPER, NOW)) == 0
     assert recipe_of(store) == "paper"
+
+
+def test_a_ranking_changed_during_a_switch_is_changed_in_both_and_neither_gets_the_rest_of_the_other(
+    store: SqlStore,
+) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    following = MapRecipe(
+        description=PAPER.description, ranking=PAPER.ranking.model_copy(update={"candidates": 33, "mode": "graph"})
+    )
+    store.jobs.switch_recipe("campus", following, NOW)
+
+    now = store.maps.change("campus", MapChanges(ranking=lambda of: of.ranking.model_copy(update={"precision": 0.9})))
+
+    assert now.ranking == RECIPE.ranking.model_copy(update={"precision": 0.9})
+    describe_all(store)
+    after = store.maps.get("campus")
+    assert after.recipe == MapRecipe(
+        description=PAPER.description, ranking=following.ranking.model_copy(update={"precision": 0.9})
+    )
+
+
+def test_a_ranking_that_the_next_recipe_does_not_allow_is_refused_until_the_map_has_it(store: SqlStore) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
+    before = store.maps.get("campus")
+
+    def change(of: MapRecipe) -> RankingConfig:
+        if of.description == PAPER.description:
+            raise InvalidParameters.of("ranking.candidates", "is too large")
+        return of.ranking.model_copy(update={"candidates": 7})
+
+    with pytest.raises(Conflict, match=r"changing over to the recipe \w+, which.*ranking\.candidates: is too large"):
+        store.maps.change("campus", MapChanges(ranking=change))
+    assert store.maps.get("campus") == before
+
+
+@pytest.mark.parametrize("begin", ["switch", "shadow"])
+def test_a_recipe_made_from_another_than_the_map_has_by_now_is_refused(store: SqlStore, begin: str) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    store.maps.change("campus", MapChanges(ranking=lambda of: of.ranking.model_copy(update={"candidates": 7})))
+    present = store.maps.get("campus").recipe
+
+    def start(made_from: MapRecipe) -> JobRecord:
+        if begin == "shadow":
+            return store.jobs.begin_shadow("campus", PAPER, 5, NOW, made_from)
+        return store.jobs.switch_recipe("campus", PAPER, NOW, made_from)
+
+    for outdated in (RECIPE, MapRecipe(description=PAPER.description, ranking=present.ranking)):
+        with pytest.raises(RecipeChanged):
+            start(outdated)
+    assert store.jobs.count_waiting(redescriptions=True) == 0
+    assert start(present).kind in ("recipe", "shadow")

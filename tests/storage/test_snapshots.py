@@ -4,7 +4,7 @@ import subprocess
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 import sqlalchemy as sa
@@ -17,14 +17,21 @@ from tests.storage.databases import data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
 from worker.service.snapshots import SnapshotService
 from worker.storage import snapshot_portions
+from worker.storage.again import RolledBack
 from worker.storage.snapshot_files import SnapshotReader
-from worker.storage.snapshot_portions import MOST_BYTES, MOST_VIEWS, SizedView, portions
+from worker.storage.snapshot_portions import MOST_BYTES, MOST_VIEWS, Portions, SizedView, portions
 from worker.storage.store import SqlStore, open_store
 
 
 def service_of(store: SqlStore) -> SnapshotService:
     """What makes the snapshots of a store."""
-    return SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    return SnapshotService(
+        files=store.snapshots,
+        restorer=store.restoring,
+        jobs=store.jobs,
+        wake=lambda: None,
+        rest=lambda seconds: None,
+    )
 
 
 def test_the_same_map_on_another_machine(store: SqlStore, elsewhere: SqlStore) -> None:
@@ -249,3 +256,60 @@ def test_a_job_whose_end_could_not_be_stored_leaves_no_snapshot(
     service.run(claim, lambda: False)
     assert store.jobs.get(job).state == "failed"
     assert store.snapshots.all() == []
+
+
+@pytest.mark.parametrize("when", ["while it is read", "while it is told", "before its end", "at its end"])
+def test_a_snapshot_is_begun_anew_where_the_database_is_away_for_a_moment(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    """As while PostgreSQL is started again, which cuts the transaction that reads the map."""
+    filled(store)
+    service = service_of(store)
+    job = service.queue("campus").id
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    owner, name = {
+        "while it is read": (Portions, "all"),
+        "while it is told": (store.jobs, "report"),
+        "before its end": (store.jobs, "finish_snapshot"),
+        "at its end": (store.jobs, "finish_snapshot"),
+    }[when]
+    usual = getattr(owner, name)
+    failed: list[str] = []
+
+    def away_once(*given: Any) -> Any:
+        if not failed:
+            failed.append(when)
+            if when == "at its end":  # nobody learned that it was stored
+                usual(*given)
+            raise RolledBack("away")
+        return usual(*given)
+
+    monkeypatch.setattr(owner, name, away_once)
+    service.run(claim, lambda: False)
+
+    assert failed == [when]
+    ended = store.jobs.get(job)
+    assert (ended.state, ended.result and ended.result["views"]) == ("done", 5)
+    assert [path.name for path in (data / "snapshots").iterdir()] == [f"{job}.snapshot"]
+    assert store.restoring.restore(data / "snapshots" / f"{job}.snapshot", "copy", NOW).views == 5
+
+
+def test_a_worker_that_stops_while_the_database_is_away_puts_the_job_back(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled(store)
+    service = service_of(store)
+    job = service.queue("campus").id
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    tried: list[int] = []
+
+    def away(*_: object) -> NoReturn:
+        tried.append(1)
+        raise RolledBack("away")
+
+    monkeypatch.setattr(Portions, "all", away)
+    service.run(claim, lambda: len(tried) == 2)
+
+    assert (len(tried), store.jobs.get(job).state) == (2, "waiting")

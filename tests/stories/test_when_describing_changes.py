@@ -72,6 +72,32 @@ def test_other_labels_leave_the_parameters_the_ranking_and_the_views_of_a_map(cl
     assert client.get(answer["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("begin", ["switch_recipe", "begin_shadow"])
+def test_a_ranking_that_is_changed_while_another_recipe_is_being_begun_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: str
+) -> None:
+    runtime = build(settings(tmp_path))
+    with CheckedClient(create_app(runtime)) as client:
+        enroll(client, 0)
+        stored = getattr(runtime.store.jobs, begin)
+
+        def late(*given: Any) -> Any:
+            assert client.patch("/maps/default", json={"ranking": {"candidates": 7}}).status_code == 200
+            return stored(*given)
+
+        monkeypatch.setattr(runtime.store.jobs, begin, late)
+        wanted = {"labels": ["road", "sky", "building"], "dynamic": []} | ({"shadow": 1} if "shadow" in begin else {})
+
+        begun = client.post("/maps/default/recipe", json=wanted)
+
+        assert begun.status_code == 202
+        assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
+        path = "/maps/default" if begin == "switch_recipe" else "/maps/default/shadow"
+        facts = client.get(path).json()
+        assert facts["ranking"]["candidates"] == 7
+        assert facts["recipe"]["labels"] == ["road", "sky", "building"]
+
+
 def test_labels_are_those_that_a_view_was_described_with_when_its_map_changes_over_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from schemas.comparisons import MapLevels
-from schemas.errors import InvalidParameters, NotFound, ParameterError
+from schemas.errors import InvalidParameters, NotFound, ParameterError, RecipeChanged
 from schemas.map_changes import MapChanges
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobRecord, MapCounts, MapRecord, Meaning
@@ -22,6 +22,9 @@ from worker.search.ports import Catalogue
 from worker.service.blurring import Blurring
 from worker.service.calibrating import own_calibration
 from worker.service.ports import Comparisons, Jobs, Maps, Removals, UploadRemoval
+
+ATTEMPTS = 5
+"""How often the next recipe of a map is made, whose present one is changed meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -179,11 +182,12 @@ class MapService:
         ------
         NotFound, Conflict, InvalidParameters
         """
-        following = self._following(name, wanted)
-        self._catalogue.prepare(name, following.description)  # it may be described already
-        job = self._jobs.switch_recipe(name, following, datetime.now(UTC))
-        self._wake()
-        return job
+
+        def begin(following: MapRecipe, present: MapRecipe) -> JobRecord:
+            self._catalogue.prepare(name, following.description)  # it may be described already
+            return self._jobs.switch_recipe(name, following, datetime.now(UTC), present)
+
+        return self._begin(name, wanted, begin)
 
     def begin_shadow(self, name: str, wanted: Wanted, queries: int) -> JobRecord:
         """Describe a map's views by another recipe, answer its last queries by both, and wait to be told which stays.
@@ -200,14 +204,29 @@ class MapService:
         ------
         NotFound, Conflict, InvalidParameters
         """
-        job = self._jobs.begin_shadow(name, self._following(name, wanted), queries, datetime.now(UTC))
-        self._wake()
-        return job
 
-    def _following(self, name: str, wanted: Wanted) -> MapRecipe:
+        def begin(following: MapRecipe, present: MapRecipe) -> JobRecord:
+            return self._jobs.begin_shadow(name, following, queries, datetime.now(UTC), present)
+
+        return self._begin(name, wanted, begin)
+
+    def _begin(self, name: str, wanted: Wanted, begin: Callable[[MapRecipe, MapRecipe], JobRecord]) -> JobRecord:
+        """Begin what leads to the recipe that is wanted; `begin` gets it and the map's own, from which it was made."""
+        for attempt in range(1, ATTEMPTS + 1):
+            present = self._maps.get(name).recipe
+            try:
+                job = begin(self._following(present, wanted), present)
+            except RecipeChanged:  # since it was read: the next one would undo that
+                if attempt == ATTEMPTS:
+                    raise
+                continue
+            self._wake()
+            return job
+        raise AssertionError("the last attempt returns or raises")
+
+    def _following(self, recipe: MapRecipe, wanted: Wanted) -> MapRecipe:
         """The recipe that a map's own becomes by what is wanted."""
-        record = self._maps.get(name)
-        present, ranking = record.description, record.ranking
+        present, ranking = recipe.description, recipe.ranking
         same = self._is_own(present) and wanted.preset in (None, ranking.preset)
         if same and wanted.labels is None:
             wanted = replace(wanted, labels=present.labels)
@@ -217,7 +236,7 @@ class MapService:
             self._encoder,
             wanted,
             preset=ranking.preset,
-            present=MapRecipe(description=present, ranking=ranking) if same else None,
+            present=recipe if same else None,
             vocabulary=self._describers.of(present).vocabulary if same else None,
         )
 

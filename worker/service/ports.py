@@ -196,12 +196,19 @@ class Jobs(Protocol):
         """Cancel a job; raises NotFound, or Conflict when it can no longer be cancelled."""
         ...
 
-    def switch_recipe(self, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
-        """Begin to describe a map's views by another recipe; raises NotFound, Conflict."""
+    def switch_recipe(
+        self, name: str, recipe: MapRecipe, now: datetime, made_from: MapRecipe | None = None
+    ) -> JobRecord:
+        """Begin to describe a map's views by another recipe.
+
+        Raises NotFound, Conflict, and RecipeChanged when the map's recipe is not `made_from`.
+        """
         ...
 
-    def begin_shadow(self, name: str, recipe: MapRecipe, wanted: int, now: datetime) -> JobRecord:
-        """Begin to describe a map's views by another recipe, and to compare answers; raises NotFound, Conflict."""
+    def begin_shadow(
+        self, name: str, recipe: MapRecipe, wanted: int, now: datetime, made_from: MapRecipe | None = None
+    ) -> JobRecord:
+        """Begin to describe a map's views by another recipe, and to compare answers; raises as `switch_recipe`."""
         ...
 
     def queue_vocabulary(self, name: str, now: datetime) -> JobRecord:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from schemas.errors import LeaseLost, NotFound, RevisitError
+from schemas.errors import LeaseLost, NotFound, RevisitError, StorageFailed
 from schemas.records import JobProgress, JobRecord, MapClaim
 from schemas.snapshot import RestoredMap, SnapshotRecord
 
@@ -16,6 +16,10 @@ log = logging.getLogger("revisit.worker")
 
 TOLD_EVERY_S = 0.5
 """Seconds between two reports of a job's progress; each is durable."""
+
+PAUSES_S = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Seconds before each further attempt, while the database or the place of the files fails: a server that restarts, or
+hands over to another, is back in a few."""
 
 
 class SnapshotFiles(Protocol):
@@ -99,12 +103,20 @@ class SnapshotService:
         Parts of the store.
     wake : function
         Called when a job was queued.
+    rest : function
+        Sleeps for a number of seconds.
     """
 
     def __init__(
-        self, *, files: SnapshotFiles, restorer: Restorer, jobs: SnapshotJobs, wake: Callable[[], None]
+        self,
+        *,
+        files: SnapshotFiles,
+        restorer: Restorer,
+        jobs: SnapshotJobs,
+        wake: Callable[[], None],
+        rest: Callable[[float], object] = time.sleep,
     ) -> None:
-        self._files, self._restorer, self._jobs, self._wake = files, restorer, jobs, wake
+        self._files, self._restorer, self._jobs, self._wake, self._rest = files, restorer, jobs, wake, rest
 
     def queue(self, name: str) -> JobRecord:
         """Make a snapshot of a map in the background, under the id of the job; raises NotFound, Conflict."""
@@ -159,8 +171,10 @@ class SnapshotService:
         return restored
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
-        """Do a job of the kind ``snapshot`` until `stopping()` is true; an error fails the job."""
+        """Do a job of the kind ``snapshot`` until `stopping()` is true; an error fails the job.
 
+        It is begun anew where the database, or the place of the files, is away for a moment.
+        """
         told = -TOLD_EVERY_S
 
         def tell(done: int, total: int) -> None:
@@ -171,10 +185,22 @@ class SnapshotService:
                 self._jobs.report(claim, JobProgress(done, total))
                 told = time.monotonic()
 
+        pauses = iter(PAUSES_S)
         try:
-            record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), tell)
-            result = {"snapshot": record.facts.id, "views": record.facts.views, "bytes": record.size}
-            self._jobs.finish_snapshot(claim, result, datetime.now(UTC))
+            while True:
+                try:
+                    record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), tell)
+                    result = {"snapshot": record.facts.id, "views": record.facts.views, "bytes": record.size}
+                    self._jobs.finish_snapshot(claim, result, datetime.now(UTC))
+                    return
+                except StorageFailed as error:
+                    pause_s = next(pauses, None)
+                    if pause_s is None:
+                        raise
+                    log.warning("a snapshot of the map %s is begun anew: %s", claim.map, error.detail)
+                    self._rest(pause_s)
+                    if stopping():
+                        raise _Stop from None
         except _Stop:
             self._jobs.release_map_job(claim)
         except LeaseLost:

@@ -14,8 +14,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
 from schemas.records import Replay
-from worker.storage import checksums, dialect
-from worker.storage.columns import NEVER
+from worker.storage import checksums, clock, dialect
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
@@ -54,8 +53,15 @@ class Calls(Part):
         self._late: dict[str, Callable[[], None]] = {}
         self._expires_at = time.monotonic() + EXPIRED_EVERY_S
 
-    def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
+    def begin(self, key: str, fingerprint: str, now: datetime, *, shared: bool = False) -> Replay | None:
         """Claim an Idempotency-Key; returns the stored answer when the call has finished, None when it is new.
+
+        Parameters
+        ----------
+        key, fingerprint : str
+        now : datetime
+        shared : bool
+            Go by the clock of the database's server instead, if it has one: the services of a fleet differ in theirs.
 
         Raises
         ------
@@ -67,8 +73,12 @@ class Calls(Part):
         if key in self._late:
             self.finish_late()
         own = key.partition(" ")[0]  # behind it stands whose it is
-        mine = CALLS.c.key == key, CALLS.c.begun_at == now
-        with self._late_unless_done(key, lambda: self._delete(*mine)), self._database.writing() as connection:
+
+        def forget() -> None:
+            self._delete(CALLS.c.key == key, CALLS.c.begun_at == now)
+
+        with self._late_unless_done(key, forget), self._database.writing() as connection:
+            now = _time(connection, now, shared)
             given_up = CALLS.c.finished_at.is_(None) & (CALLS.c.begun_at <= now - GIVEN_UP)
             connection.execute(sa.delete(CALLS).where((CALLS.c.begun_at <= now - KEPT) | given_up))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
@@ -101,32 +111,33 @@ class Calls(Part):
             store()
             self._late.pop(key, None)
 
-    def expire(self, now: datetime) -> None:
-        """Delete calls whose time is over, now and then; raises DiskFull, StorageFailed."""
+    def expire(self, now: datetime, *, shared: bool = False) -> None:
+        """Delete calls whose time is over, by the clock of `begin`, now and then; raises DiskFull, StorageFailed."""
         if time.monotonic() < self._expires_at:
             return
         self._expires_at = time.monotonic() + EXPIRED_EVERY_S
-        over = CALLS.c.begun_at <= now - KEPT
         with self._database.reading() as connection:
+            over = CALLS.c.begun_at <= _time(connection, now, shared) - KEPT
             if connection.execute(sa.select(CALLS.c.key).where(over).limit(1)).first() is None:
                 return
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(over))
 
-    def forget_views(self, views: Mapping[str, datetime]) -> None:
+    def forget_views(self, views: Collection[str]) -> None:
         """Leave of deleted views nothing but their ids in the answers that are kept to be repeated.
+
+        All of a day are looked through: the clocks of a fleet do not tell which ended before a view was enrolled.
 
         Parameters
         ----------
-        views : mapping of ids to times
-            When each was enrolled: no call names it that ended before.
+        views : collection of str
+            Their ids.
 
         Raises
         ------
         DiskFull, StorageFailed
         """
-        since = max(min(views.values()), NEVER + GIVEN_UP) - GIVEN_UP
-        kept = sa.select(CALLS.c.key, CALLS.c.body).where(CALLS.c.begun_at >= since, CALLS.c.finished_at.is_not(None))
+        kept = sa.select(CALLS.c.key, CALLS.c.body).where(CALLS.c.finished_at.is_not(None))
         if len(views) <= FEW:
             kept = kept.where(sa.or_(*map(self._named, views)))
         with self._database.reading() as connection:
@@ -164,6 +175,11 @@ class Calls(Part):
     def _delete(self, *which: sa.ColumnElement[bool]) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(*which, CALLS.c.finished_at.is_(None)))
+
+
+def _time(connection: sa.Connection, now: datetime, shared: bool) -> datetime:
+    """The time by the server's clock where that is wanted and there is a server; else `now`."""
+    return now if not shared or dialect.is_file(connection.engine) else clock.shared_time(connection)
 
 
 def _names(text: bytes, ids: Collection[str]) -> bool:

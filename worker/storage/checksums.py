@@ -55,7 +55,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     JOBS.name: _but(JOBS),
     TOMBSTONES.name: _but(TOMBSTONES),
     CALLS.name: _but(CALLS),
-    KEPT_QUERIES.name: _but(KEPT_QUERIES),
+    KEPT_QUERIES.name: _but(KEPT_QUERIES, "number"),
     DAY_SCORES.name: _but(DAY_SCORES),
     KEYS.name: _but(KEYS),
     CLOCK.name: _but(CLOCK),

@@ -24,9 +24,9 @@ class _Last(NamedTuple):
 class EnrolmentOrder:
     """Gives each new view an id and an elapsed time that are not before those of the view enrolled before it.
 
-    The elapsed time of a view is the sum of the times between consecutive enrolments up to it, of all maps. Between two
-    enrolments of this object it is measured by a steady clock; otherwise it is the difference of the times by the
-    machine's clock, and 0 when that went back.
+    The elapsed time of a view is the sum of the times between consecutive enrolments up to it, of all maps. Since an
+    enrolment of this object it is measured by a steady clock, also when other services enrolled meanwhile; otherwise it
+    is the difference of the times by the machines' clocks, and 0 when that went back.
     """
 
     def __init__(self) -> None:
@@ -52,8 +52,11 @@ class EnrolmentOrder:
 
     def _elapsed_us(self, newest: Any, now: datetime, steady_s: float | None) -> int:
         last = self._last
-        if last is not None and steady_s is not None and (newest is None or newest.seq <= last.seq):
-            return int(last.elapsed_us) + max(0, round((steady_s - last.steady_s) * 1e6))
+        if last is not None and steady_s is not None:
+            own = int(last.elapsed_us) + max(0, round((steady_s - last.steady_s) * 1e6))
+            # Beyond that is what was restored since, or enrolled by a service whose clock had been ahead.
+            if newest is None or newest.seq <= last.seq or newest.elapsed_us <= own:
+                return own
         if newest is None:
             return 0
         passed = int((now - newest.enrolled_at) // _MICROSECOND)

@@ -13,10 +13,11 @@ import sqlalchemy as sa
 from schemas.errors import RevisitError
 from worker.storage import dialect, migrating, wal
 from worker.storage.examining_images import image_findings
-from worker.storage.examining_objects import object_findings
+from worker.storage.examining_objects import last_sign, object_findings
 from worker.storage.examining_rows import row_findings
 from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
 from worker.storage.ownership import id_of
+from worker.storage.signs import is_elsewhere
 from worker.storage.tables import METADATA
 
 STOP = f"stop the service, then {REPAIR}; if that cannot, {BACKUP}"
@@ -46,6 +47,8 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
         return
     owners: dict[str, str] | None = None
     own: str | None = None
+    sign = None if images is None else last_sign(images)  # before the count that it is compared with
+    elsewhere = False
     path = database_file(url)
     if path is not None and (blocked := file_finding(path)) is not None:
         yield blocked
@@ -62,7 +65,7 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
                 if not tables:
                     owners = {}
                     with engine.connect() as connection:
-                        own = id_of(connection)
+                        own, elsewhere = id_of(connection), is_elsewhere(sign, connection)
                     yield from row_findings(engine, owners)
         except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
             yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
@@ -72,7 +75,7 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
     if images is None:
         yield from image_findings(data / "pictures", owners, own, running=running)
     else:
-        yield from object_findings(images, owners, own, running=running)
+        yield from object_findings(images, owners, own, running=running, elsewhere=elsewhere)
 
 
 def database_file(url: str) -> Path | None:

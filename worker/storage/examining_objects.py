@@ -11,12 +11,16 @@ from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
 from worker.storage.owner_file import OWNER
+from worker.storage.signs import ALIVE, Sign, read
 from worker.storage.snapshot_places import SNAPSHOTS
 from worker.storage.uploads import IMPORTS
 
+COPY = "was ahead of this database a moment ago: another copy of it is served with these images"
+COPIES = "see REVISIT_DATABASE and REVISIT_IMAGES; if this one was restored just now, look again in two minutes"
+
 
 def object_findings(
-    address: str, owners: dict[str, str] | None, own: str | None, *, running: bool = False
+    address: str, owners: dict[str, str] | None, own: str | None, *, running: bool = False, elsewhere: bool = False
 ) -> Iterator[Finding]:
     """Findings of all images of a store.
 
@@ -30,6 +34,8 @@ def object_findings(
         Id of the database.
     running : bool
         Whether a service of this folder runs: it may be writing or removing objects just now.
+    elsewhere : bool
+        Whether another copy of the database works on them.
     """
     try:
         objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext())
@@ -40,9 +46,25 @@ def object_findings(
         foreign = is_foreign(objects.owner(), own)
         if foreign:
             yield Finding(objects.owner_name, FOREIGN, THEIRS)
-        yield from _findings(objects, address, owners, running or foreign)
+        elif elsewhere:
+            yield Finding(f"{objects.address}/{ALIVE}", COPY, COPIES)
+        yield from _findings(objects, address, owners, running or foreign or elsewhere)
     except RevisitError as error:
         yield Finding(address, "cannot be examined", error.detail)
+    finally:
+        objects.close()
+
+
+def last_sign(address: str) -> Sign | None:
+    """The last sign of life beside images; None where there is none, or it cannot be read now."""
+    try:
+        objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext())
+    except SetupError:
+        return None
+    try:
+        return read(objects.prompt)
+    except RevisitError:
+        return None
     finally:
         objects.close()
 
@@ -54,7 +76,7 @@ def _findings(objects: ImageObjects, address: str, owners: dict[str, str] | None
         digest = name.rpartition("/")[2]
         if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
             placed.append(digest)
-        elif name not in (PROBE, OWNER) and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
+        elif name not in (PROBE, OWNER, ALIVE) and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
             yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
     with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
         faults = pool.map(partial(_fault, objects), placed)

@@ -74,7 +74,7 @@ class Images:
         Reads from the database which digests views still need.
     """
 
-    files = None
+    files = prompt = None
     """Recordings and snapshots have folders of their own."""
 
     def __init__(self, folder: Path, owned: Owned) -> None:

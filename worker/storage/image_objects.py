@@ -99,7 +99,7 @@ class ImageObjects:
         self._client = make_client(CONNECT_S, READ_S, ATTEMPTS)
         self._probing = make_client(PROBE_CONNECT_S, PROBE_READ_S, 1)
         self.files = ObjectFiles(self._client, self.address, self._bucket, self._prefix)
-        self._small = ObjectFiles(self._probing, self.address, self._bucket, self._prefix)  # a start waits for it
+        self.prompt = ObjectFiles(self._probing, self.address, self._bucket, self._prefix)  # a start waits for it
         self._trouble = False  # whether the last image could not be written
         self._left: set[str] = set()  # images of deleted views that could not be removed yet
         self._closing = threading.Event()
@@ -211,7 +211,7 @@ class ImageObjects:
     def owner(self) -> str | None:
         """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
         try:
-            return owner_file.read(self._small.read(OWNER))
+            return owner_file.read(self.prompt.read(OWNER))
         except FileNotFoundError:
             return None
 

@@ -26,6 +26,11 @@ class ImageStore(Protocol):
         """Where recordings and snapshots lie too; None: in the data folder."""
         ...
 
+    @property
+    def prompt(self) -> "ObjectFiles | None":
+        """The same for small files, whose calls end within some 3 s."""
+        ...
+
     def kept(self, digest: str, image: bytes) -> AbstractContextManager[None]:
         """Write an image durably, then run a block that commits a row with its digest."""
         ...

@@ -25,15 +25,25 @@ def drop_oldest(
     `matched`: of those that matched a view, or of those that matched nothing; None: of both together.
     """
     own = sa.and_(KEPT_QUERIES.c.map_id == map_id, _of_kind(matched))
-    newest = sa.select(KEPT_QUERIES.c.id).where(own).order_by(KEPT_QUERIES.c.id.desc())
-    # In a map of thousands there is one beyond: its id bounds all that are older.
-    first = connection.scalar(newest.offset(keep).limit(1))
+    newest = sa.select(*_ORDER).where(own).order_by(*_NEWEST_FIRST)
+    # In a map of thousands there is one beyond: its place in the order bounds all that are older.
+    first = connection.execute(newest.offset(keep).limit(1)).one_or_none()
     if first is None:
         return 0
-    old = sa.select(KEPT_QUERIES.c.id).where(own, KEPT_QUERIES.c.id <= first).order_by(KEPT_QUERIES.c.id).limit(most)
-    ids = list(connection.scalars(old))
-    connection.execute(sa.delete(KEPT_QUERIES).where(own, KEPT_QUERIES.c.id <= ids[-1]))
-    return len(ids)
+    old = sa.select(*_ORDER).where(own, _up_to(first)).order_by(*_ORDER).limit(most)
+    rows = list(connection.execute(old))
+    connection.execute(sa.delete(KEPT_QUERIES).where(own, _up_to(rows[-1])))
+    return len(rows)
+
+
+_ORDER = KEPT_QUERIES.c.number, KEPT_QUERIES.c.id
+_NEWEST_FIRST = KEPT_QUERIES.c.number.desc(), KEPT_QUERIES.c.id.desc()
+
+
+def _up_to(row: Any) -> sa.ColumnElement[bool]:
+    """SQL condition that a kept query is this one, or was kept before it."""
+    same = sa.and_(KEPT_QUERIES.c.number == row.number, KEPT_QUERIES.c.id <= row.id)
+    return sa.or_(KEPT_QUERIES.c.number < row.number, same)
 
 
 def _of_kind(matched: bool | None) -> sa.ColumnElement[bool]:
@@ -80,7 +90,10 @@ class KeptQueries(Part):
                 return
             if seq is not None and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.seq == seq)) is None:
                 return
-            connection.execute(sa.insert(KEPT_QUERIES).values(map_id=row.id, **values))
+            # Ids are sortable by the clock of the process that answered; another's, or a clock set back, is behind.
+            last = sa.select(sa.func.max(KEPT_QUERIES.c.number)).where(KEPT_QUERIES.c.map_id == row.id)
+            number = (connection.scalar(last) or 0) + 1
+            connection.execute(sa.insert(KEPT_QUERIES).values(map_id=row.id, number=number, **values))
             drop_oldest(connection, row.id, most, matched=seq is not None)
 
     def newest(self, name: str, most: int, *, matched: bool | None = False) -> tuple[list[KeptQuery], int]:
@@ -99,7 +112,7 @@ class KeptQueries(Part):
         with self._database.reading() as connection:
             own = sa.and_(KEPT_QUERIES.c.map_id == find_map(connection, name).id, _of_kind(matched))
             count = connection.scalar(sa.select(sa.func.count()).select_from(KEPT_QUERIES).where(own)) or 0
-            page = sa.select(KEPT_QUERIES).where(own).order_by(KEPT_QUERIES.c.id.desc()).limit(most)
+            page = sa.select(KEPT_QUERIES).where(own).order_by(*_NEWEST_FIRST).limit(most)
             found = []
             for row in connection.execution_options(yield_per=50).execute(page):
                 try:

@@ -17,7 +17,7 @@ from typing import Any, get_args
 import sqlalchemy as sa
 from uuid6 import uuid7
 
-from schemas.errors import Conflict, Damaged, LeaseLost, NotFound
+from schemas.errors import Conflict, Damaged, LeaseLost, NotFound, RecipeChanged
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, forgetting, switching
@@ -25,7 +25,7 @@ from worker.storage.calls import keep_vocabulary
 from worker.storage.image_store import forgets
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
-from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, maps_named
+from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, map_record, maps_named
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -42,21 +42,34 @@ class MapJobs(Jobs):
 
     # recipe
 
-    def switch_recipe(self, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
+    def switch_recipe(
+        self, name: str, recipe: MapRecipe, now: datetime, made_from: MapRecipe | None = None
+    ) -> JobRecord:
         """Begin to describe a map's views by another recipe.
 
         Searches use the old recipe until the last view is described by the new one; then the map switches in one
         transaction. Descriptions by the new recipe that are still stored are used again.
 
+        Parameters
+        ----------
+        name : str
+        recipe : MapRecipe
+        now : datetime
+        made_from : MapRecipe or None
+            The map's recipe, of which `recipe` has what is not changed.
+
         Raises
         ------
         NotFound
+        RecipeChanged
+            The map no longer has the recipe `made_from`.
         Conflict
             Another job of the map has not finished, or its images are not kept.
         """
         with self._database.writing() as connection:
             row = find_map(connection, name)
             refuse_second(connection, row)
+            refuse_changed(connection, row, made_from)
             kept = keep_recipe(connection, recipe.description)
             switching.begin(connection, row, kept, recipe.ranking.model_dump_json(), None, now)
             latest = sa.select(JOBS.c.id).where(JOBS.c.map_id == row.id, JOBS.c.kind == "recipe")
@@ -248,6 +261,12 @@ def refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
             f"finished, or DELETE /jobs/{found.id}"
         )
     switching.refuse_with_shadow(row)
+
+
+def refuse_changed(connection: sa.Connection, row: sa.Row[Any], made_from: MapRecipe | None) -> None:
+    """Raise RecipeChanged when a map no longer has the recipe that its next one was made from."""
+    if made_from is not None and map_record(connection, row).recipe != made_from:
+        raise RecipeChanged(f"the recipe or the ranking of the map {row.name!r} was changed meanwhile; try again")
 
 
 def queue(

@@ -5,13 +5,13 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import Conflict
+from schemas.errors import Conflict, InvalidParameters
 from schemas.map_changes import MapChanges
 from schemas.recipe import MapRecipe, RankingConfig
 from worker.storage import forgetting, switching
 from worker.storage.day_scores import drop_scores
 from worker.storage.kept_queries import drop_oldest
-from worker.storage.rows import as_json, blur_of, find_map, map_record
+from worker.storage.rows import as_json, blur_of, find_map, find_recipe, map_record, ranking_of
 from worker.storage.tables import MAPS, VIEWS
 
 
@@ -49,7 +49,23 @@ def _set_ranking(connection: sa.Connection, row: sa.Row[Any], change_of: Callabl
         switching.set_ranking(connection, row, ranking)
     # A running recipe switch must not undo the change; a shadow keeps the ranking that it is compared by.
     if row.next_ranking is not None and row.shadow is None:
-        _update(connection, row, next_ranking=ranking)
+        following = MapRecipe(
+            description=find_recipe(connection, row.next_recipe), ranking=ranking_of(row.next_ranking)
+        )
+        _update(connection, row, next_ranking=_changed_too(row, following, change_of).model_dump_json())
+
+
+def _changed_too(
+    row: sa.Row[Any], following: MapRecipe, change_of: Callable[[MapRecipe], RankingConfig]
+) -> RankingConfig:
+    """The changed ranking of the recipe that a map is changing over to, which may lack what the present one has."""
+    try:
+        return change_of(following)
+    except InvalidParameters as error:
+        raise Conflict(
+            f"the map {row.name!r} is changing over to the recipe {following.description.id}, which does not allow "
+            f"this ranking: {error.detail}; change it when GET /maps/{row.name} shows that recipe"
+        ) from None
 
 
 def _set_blur(connection: sa.Connection, row: sa.Row[Any], words: tuple[str, ...]) -> None:

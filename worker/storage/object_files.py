@@ -134,6 +134,12 @@ class ObjectFiles:
         with told(self.address), _missing(name):
             return int(self._client.head_object(**self._of(name))["ContentLength"])
 
+    def age_s(self, name: str) -> float:
+        """Seconds since a file was written, by the store's clock; raises FileNotFoundError."""
+        with told(self.address), _missing(name):
+            about = self._client.head_object(**self._of(name))
+        return _age_s(about, about["LastModified"])
+
     def below(self, folder: str) -> Iterator[Stored]:
         """The files whose names begin with ``folder/``."""
         with told(self.address):

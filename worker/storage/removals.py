@@ -1,7 +1,7 @@
 """Deletion: complete, and in portions, so that other writers do not wait for a large one."""
 
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -40,7 +40,7 @@ class Removals(Part):
     holding : function
         Snapshots that have images of some digests, also of those that were being made; see `SnapshotContents.holding`.
     forget : function
-        Takes deleted views, by their ids and when they were enrolled, out of what is kept of calls; see `Calls`.
+        Takes deleted views, by their ids, out of what is kept of calls; see `Calls`.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Removals(Part):
         database: Database,
         images: ImageStore,
         holding: Callable[[Collection[str], Sequence[str]], tuple[Holding, ...]],
-        forget: Callable[[Mapping[str, datetime]], None],
+        forget: Callable[[Collection[str]], None],
     ) -> None:
         super().__init__(database, images)
         self._holding, self._forget = holding, forget
@@ -172,7 +172,7 @@ class Removals(Part):
     def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
         """What the portions deleted, each as it was in its own transaction, and what snapshots have; it is taken out of
         the answers that are kept to be repeated."""
-        self._forget_answers({view_id: at for portion in portions for view_id, at in portion.enrolled.items()})
+        self._forget_answers({view_id for portion in portions for view_id in portion.ids})
         digests = [digest for portion in portions for digest in portion.digests]
         started = list(dict.fromkeys([*making, *(one for portion in portions for one in portion.being_made)]))
         shared = frozenset[str]().union(*(portion.images.needed for portion in portions))
@@ -188,7 +188,7 @@ class Removals(Part):
             snapshots=self._holding(digests, started),
         )
 
-    def _forget_answers(self, views: Mapping[str, datetime]) -> None:
+    def _forget_answers(self, views: Collection[str]) -> None:
         try:
             if views:
                 self._forget(views)
@@ -200,8 +200,7 @@ class Removals(Part):
 
         def remove(connection: sa.Connection) -> _Gone:
             which = VIEWS.c.seq.in_(seqs)
-            columns = VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256, VIEWS.c.enrolled_at
-            rows = list(connection.execute(sa.select(*columns).where(which)))
+            rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256).where(which)))
             descriptions = searched = queries = scores = 0
             if rows:
                 there = list(connection.execute(_DESCRIBED, {"seqs": seqs}))
@@ -218,9 +217,9 @@ class Removals(Part):
             digests = [str(row.sha256) for row in rows]
             # One that is claimed after this transaction reads what this one leaves.
             making = _being_made(connection, map_id)
-            enrolled = {str(row.id): row.enrolled_at for row in rows}
+            ids = [str(row.id) for row in rows]
             counts = descriptions, searched, queries, scores
-            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making, enrolled)
+            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making, ids)
 
         gone = self._database.freeing(remove)
         images = self._images.discard(gone.digests)
@@ -240,7 +239,7 @@ class _Gone(NamedTuple):
     queries: int
     scores: int
     being_made: list[str]
-    enrolled: dict[str, datetime]
+    ids: list[str]
 
 
 _NONE = Discarded(0, frozenset())

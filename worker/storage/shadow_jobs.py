@@ -19,7 +19,7 @@ from schemas.shadow import ShadowRecord, ShadowState
 from worker.storage import switching
 from worker.storage.image_store import forgets
 from worker.storage.import_jobs import ImportJobs
-from worker.storage.map_jobs import held, record_of, refuse_second
+from worker.storage.map_jobs import held, record_of, refuse_changed, refuse_second
 from worker.storage.rows import as_json, find_map, find_recipe, inserting, keep_recipe, ranking_of
 from worker.storage.tables import JOBS, MAPS
 
@@ -32,7 +32,9 @@ SAME = (
 class ShadowJobs(ImportJobs):
     """Jobs of all kinds, imports, and the shadows of maps."""
 
-    def begin_shadow(self, name: str, recipe: MapRecipe, wanted: int, now: datetime) -> JobRecord:
+    def begin_shadow(
+        self, name: str, recipe: MapRecipe, wanted: int, now: datetime, made_from: MapRecipe | None = None
+    ) -> JobRecord:
         """Begin to describe a map's views by another recipe, to which the map changes over only when it is told.
 
         Parameters
@@ -42,16 +44,21 @@ class ShadowJobs(ImportJobs):
         wanted : int
             Number of queries that are then answered by both.
         now : datetime
+        made_from : MapRecipe or None
+            The map's recipe, of which `recipe` has what is not changed.
 
         Raises
         ------
         NotFound
+        RecipeChanged
+            The map no longer has the recipe `made_from`.
         Conflict
             Another job of the map has not finished, it has a shadow or this very recipe, or its images are not kept.
         """
         with self._database.writing() as connection:
             row = find_map(connection, name)
             refuse_second(connection, row)
+            refuse_changed(connection, row, made_from)
             if row.recipe == recipe.description.id:
                 raise Conflict(SAME.format(name))
             if forgets(connection, row.id):  # a view enrolled meanwhile could not be described twice

@@ -32,6 +32,7 @@ from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
 from worker.storage.restoring import Restoring
 from worker.storage.scratch import Scratch
+from worker.storage.signs import SignsOfLife, refuse_copy
 from worker.storage.snapshot_places import SNAPSHOTS, SnapshotFolder, SnapshotObjects
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
@@ -113,6 +114,7 @@ class SqlStore:
         self.uploads = Uploads(*here) if files is None else SharedUploads(*here, files, scratch)
         self.jobs.drop_files = self._drop_files
         self.leftovers = None if files is None else Leftovers(database, files, partial(is_own, database, images))
+        self.signs = SignsOfLife(database, images.prompt)
         self.vectors = None if index == "faiss" else VectorSearch(database, images)
         self.indexing = VectorIndexing(database, images) if index == "pgvector-hnsw" else None
 
@@ -122,9 +124,11 @@ class SqlStore:
         self.snapshots.drop_draft(job_id)
 
     def refuse_foreign(self) -> None:
-        """Close the store and raise SetupError where its images are of another database, as far as that is known."""
+        """Close the store and raise SetupError where its images are of another database, or another copy of this one
+        works on them, as far as that is known."""
         try:
             refuse_foreign(self._database, self._images)
+            refuse_copy(self._database, self._images.prompt)
         except BaseException:
             self.close()
             raise
@@ -202,14 +206,15 @@ class SqlStore:
 
     def tend(self) -> None:
         """What is done now and then: make the reserve for deletions where it is missing, count among the services of
-        the database again, and finish deletions and calls that could not be finished."""
+        the database again, finish deletions and calls that could not be finished, and give a sign of life."""
         if self._database.space is not None:
             self._database.space.restore()
         self._peers.rejoin()
         self.removals.finish_late()
         with suppress(DiskFull, StorageFailed):
             self.calls.finish_late()
-            self.calls.expire(datetime.now(UTC))
+            self.calls.expire(datetime.now(UTC), shared=True)
+        self.signs.give()
 
     def close(self) -> None:
         """Close connections and release the data folder; a second time does nothing."""

@@ -48,6 +48,7 @@ INSTALLATION = sa.Table(
     "installation",
     METADATA,
     sa.Column("id", sa.Text, primary_key=True),  # one row: by which the place of the images knows whose they are
+    sa.Column("beats", sa.BigInteger, nullable=False, server_default="0"),  # signs of life that were given: signs.py
 )
 
 RECIPES = sa.Table(
@@ -247,7 +248,7 @@ TOMBSTONES = sa.Table(
 KEPT_QUERIES = sa.Table(  # queries that matched nothing, or a view that they look unlike; see kept_queries.py
     "kept_queries",
     METADATA,
-    sa.Column("id", sa.Text, primary_key=True),  # of the query: sortable by time
+    sa.Column("id", sa.Text, primary_key=True),  # of the query
     sa.Column("map_id", sa.BigInteger, sa.ForeignKey("maps.id", ondelete="CASCADE"), nullable=False),
     sa.Column("recipe", sa.Text, nullable=False),  # of the description
     sa.Column("queried_at", UtcDateTime, nullable=False),
@@ -256,9 +257,10 @@ KEPT_QUERIES = sa.Table(  # queries that matched nothing, or a view that they lo
     sa.Column("image", Body, nullable=False),  # JPEG, small
     sa.Column("seq", sa.BigInteger),  # the view that it matched, with which it is deleted; NULL: none
     sa.Column("score", sa.Double),  # of the match
+    sa.Column("number", sa.BigInteger, nullable=False, server_default="0"),  # in the order in which its map kept them
     _seal(),
     _unsealed("kept_queries", "id"),
-    sa.Index("kept_queries_by_map", "map_id", "id"),
+    sa.Index("kept_queries_in_order", "map_id", "number", "id", "seq"),  # the oldest are found without reading rows
     sa.Index("kept_queries_by_view", "seq"),
 )
 
