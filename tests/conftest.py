@@ -3,9 +3,11 @@
 import gc
 import os
 import shutil
+import ssl
 import tempfile
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -69,7 +71,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Each client of httpx would read them anew, for 30 ms, and tests make thousands.
     """
-    pytest.MonkeyPatch().setattr("httpx._transports.default.create_ssl_context", cache(httpx.create_ssl_context))
+
+    @cache
+    def read(files: tuple[str | None, ...], **said: Any) -> ssl.SSLContext:
+        return httpx.create_ssl_context(**said)
+
+    def context(**said: Any) -> ssl.SSLContext:
+        return read((os.environ.get("SSL_CERT_FILE"), os.environ.get("SSL_CERT_DIR")), **said)
+
+    pytest.MonkeyPatch().setattr("httpx._transports.default.create_ssl_context", context)
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
         raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")
 

@@ -214,7 +214,7 @@ def test_a_photo_is_placed_by_a_click_on_the_plan(opened: Open, service: Running
     tab.page.get_by_text("Set positions on the plan").click()
     tab.page.get_by_text("Click where this was taken: first.jpg").wait_for()
     plan = tab.page.locator("canvas.plan")
-    assert plan.get_attribute("aria-label") == f"Plan with {2 * len(PLACES)} positions"
+    tab.page.get_by_label(f"Plan with {2 * len(PLACES)} positions").wait_for()
     plan.click()
     tab.page.get_by_text("Click where this was taken: second.jpg").wait_for()
     x, y = map(float, tab.page.get_by_label("Position of first.jpg").input_value().split(","))

@@ -140,7 +140,11 @@ def test_an_interrupted_one_says_how_many_are_in(service: FakeService, folder: P
         return 201, answers.enrolled()
 
     service.replies["POST /enroll"] = reply
-    assert main(["enroll", str(folder), "--parallel", "1"]) == 130
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup, and shells in the background, ignore it
+    try:
+        assert main(["enroll", str(folder), "--parallel", "1"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
 
     told = capsys.readouterr()
     assert "1 of 3 images are enrolled, and those that were being sent may be; run the same command again" in told.err

@@ -21,7 +21,7 @@ def test_findings_and_what_to_do_about_them(service: FakeService, capsys: Out) -
     assert told.out.splitlines() == [
         f"missing-directions: {finding['detail']}",
         f"    {finding['remedy']}",
-        f"    views: {finding['views'][0]}",
+        f"    views: {', '.join(finding['views'])}",
     ]
     assert told.err == "campus: 1 missing-directions; 1730 of 1730 views examined, 1730 compared with the others\n"
     assert service.requests[0][0] == "GET /maps/campus/health?code=missing-directions&limit=3"

@@ -217,7 +217,7 @@ def test_damaged_attributes_cannot_be_mended_and_that_is_said(data: Path, capsys
     code, told = doctor(data, capsys, "--repair")
     assert code == 1
     assert "its attributes cannot be mended: give them again" in told.partition("\nleft\n")[0]
-    assert "enrol its image again with its attributes" in told.partition("\nleft\n")[2]
+    assert "enrol its image again, the very file, with its attributes" in told.partition("\nleft\n")[2]
 
 
 def test_orphans_are_removed_and_repair_waits_for_nobody(data: Path, capsys: pytest.CaptureFixture[str]) -> None:

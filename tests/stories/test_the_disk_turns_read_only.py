@@ -71,6 +71,8 @@ class Disk:
     def repair(self) -> None:
         """Unmount, examine, mount: what an operator does."""
         self.unmount()
+        # A browser's sandbox keeps the mounts that there were when it began: the disk would be mounted as it is there.
+        until(lambda: not subprocess.run(["losetup", "-j", str(self._file)], capture_output=True, check=True).stdout)
         examined = subprocess.run(["e2fsck", "-f", "-y", str(self._file)], capture_output=True, text=True)
         assert examined.returncode in (0, 1), examined.stdout
         subprocess.run(self._mounting(), check=True)
