@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from hypothesis import given, strategies as st
 
 from schemas.errors import Conflict, Damaged, NotFound, StorageFailed
-from schemas.records import Filters, ViewAttributes
+from schemas.records import Filters, MapClaim, ViewAttributes
 from tests.storage.carried import JOB, contents, filled, made, views
 from tests.storage.databases import data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
@@ -32,6 +32,16 @@ def service_of(store: SqlStore) -> SnapshotService:
         wake=lambda: None,
         rest=lambda seconds: None,
     )
+
+
+def begun(store: SqlStore) -> tuple[SnapshotService, str, MapClaim]:
+    """A job that makes a snapshot of a map with five views, as a worker has claimed it."""
+    filled(store)
+    service = service_of(store)
+    job = service.queue("campus").id
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    return service, job, claim
 
 
 def test_the_same_map_on_another_machine(store: SqlStore, elsewhere: SqlStore) -> None:
@@ -243,11 +253,7 @@ def test_who_was_silent_too_long_leaves_the_snapshot_to_whoever_took_it_up(
 def test_a_job_whose_end_could_not_be_stored_leaves_no_snapshot(
     store: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    filled(store)
-    service = service_of(store)
-    job = service.queue("campus").id
-    claim = store.jobs.claim_map_job("worker", NOW)
-    assert claim is not None
+    service, job, claim = begun(store)
 
     def away(*_: object) -> NoReturn:
         raise StorageFailed("away")
@@ -263,11 +269,7 @@ def test_a_snapshot_is_begun_anew_where_the_database_is_away_for_a_moment(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch, when: str
 ) -> None:
     """As while PostgreSQL is started again, which cuts the transaction that reads the map."""
-    filled(store)
-    service = service_of(store)
-    job = service.queue("campus").id
-    claim = store.jobs.claim_map_job("worker", NOW)
-    assert claim is not None
+    service, job, claim = begun(store)
     owner, name = {
         "while it is read": (Portions, "all"),
         "while it is told": (store.jobs, "report"),
@@ -298,11 +300,7 @@ def test_a_snapshot_is_begun_anew_where_the_database_is_away_for_a_moment(
 def test_a_worker_that_stops_while_the_database_is_away_puts_the_job_back(
     store: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    filled(store)
-    service = service_of(store)
-    job = service.queue("campus").id
-    claim = store.jobs.claim_map_job("worker", NOW)
-    assert claim is not None
+    service, job, claim = begun(store)
     tried: list[int] = []
 
     def away(*_: object) -> NoReturn:
