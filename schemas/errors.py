@@ -34,6 +34,9 @@ LONGEST_ECHO = 100
 MOST_MISTAKES = 100
 """Mistakes of one request that its refusal lists: thousands take seconds to write, and nobody reads them."""
 
+NOT_CALLED = "{} cannot be called: {}; see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
+"""Of the setting that names a service, and why: what a SetupError says of an environment that cannot be used."""
+
 
 def echoed(name: str) -> str:
     """A name as a refusal repeats it: whole, or its beginning and its length."""

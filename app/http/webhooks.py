@@ -22,7 +22,7 @@ import httpx
 
 from app.http.deadline import Deadline
 from app.http.query_events import PATIENCE_S, WAITING, Outcome, event, kind_of
-from schemas.errors import SetupError
+from schemas.errors import NOT_CALLED, SetupError
 from schemas.settings import Settings
 from schemas.wire import QueryAnswer
 
@@ -36,8 +36,6 @@ TIMEOUT_S = 10.0
 
 PREFIX = "whsec_"
 """Of a secret that is base64."""
-
-SEE = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
 
 AGAIN = frozenset({408, 425, 429})
 """Statuses below 500 that say to try again."""
@@ -87,7 +85,7 @@ class Webhooks:
         try:
             self._client = httpx.Client(timeout=TIMEOUT_S, headers={"user-agent": "revisit"})
         except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
-            raise SetupError(f"REVISIT_WEBHOOK cannot be called: {error}; {SEE}") from error
+            raise SetupError(NOT_CALLED.format("REVISIT_WEBHOOK", error)) from error
 
     @classmethod
     def of(cls, settings: Settings) -> "Webhooks | None":

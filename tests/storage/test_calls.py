@@ -1,18 +1,20 @@
 """Calls with an Idempotency-Key whose end cannot be stored: they do not seem to run for a day."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from schemas.errors import Conflict, StorageFailed
 from schemas.records import Replay
+from tests.storage.databases import postgres_tables
 from tests.storage.material import NOW
 from worker.storage import clock
 from worker.storage.database import Database
-from worker.storage.store import SqlStore
+from worker.storage.store import SqlStore, open_store
 
 DONE = Replay(201, {"Location": "/views/1"}, b"{}")
 
@@ -87,23 +89,24 @@ def test_a_call_that_cannot_have_an_answer_any_more_may_be_tried_again(store: Sq
 
 
 def test_calls_of_a_fleet_end_by_the_clock_of_the_database_whatever_those_of_the_services_say(
-    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+    data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A service whose clock is behind by a day saw its calls forgotten by the others, while they ran."""
-    if store._database.engine.dialect.name != "postgresql":
-        pytest.skip("with SQLite one service has the database")
     behind, ahead = NOW - timedelta(days=2), NOW + timedelta(days=2)
-    store.calls.begin("done", "fingerprint", behind, shared=True)
-    store.calls.end("done", DONE, behind)
-    store.calls.begin("runs", "fingerprint", behind, shared=True)
+    with postgres_tables() as url, closing(open_store(url, data)) as store:
+        store.calls.begin("done", "fingerprint", behind, shared=True)
+        store.calls.end("done", DONE, behind)
+        store.calls.begin("runs", "fingerprint", behind, shared=True)
+        monkeypatch.setattr(store.calls, "_expires_at", 0)
+        store.calls.expire(ahead, shared=True)
 
-    assert store.calls.begin("done", "fingerprint", ahead, shared=True) == DONE
-    with pytest.raises(Conflict):
-        store.calls.begin("runs", "fingerprint", ahead, shared=True)
+        assert store.calls.begin("done", "fingerprint", ahead, shared=True) == DONE
+        with pytest.raises(Conflict):
+            store.calls.begin("runs", "fingerprint", ahead, shared=True)
 
-    later = datetime.now(UTC) + timedelta(minutes=11)
-    monkeypatch.setattr(clock, "shared_time", lambda connection: later)
-    assert store.calls.begin("runs", "fingerprint", behind, shared=True) is None
+        later = datetime.now(UTC) + timedelta(minutes=11)
+        monkeypatch.setattr(clock, "shared_time", lambda connection: later)
+        assert store.calls.begin("runs", "fingerprint", behind, shared=True) is None
 
 
 def test_a_beginning_of_which_nobody_knows_is_forgotten_by_the_clock_of_the_database_too(

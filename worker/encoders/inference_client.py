@@ -13,7 +13,7 @@ import httpx
 import numpy as np
 
 from schemas.description import Floats
-from schemas.errors import BadBody, EncoderAway, SetupError
+from schemas.errors import NOT_CALLED, BadBody, EncoderAway, SetupError
 from schemas.image import Bytes2D, PreparedImage
 from schemas.inference import (
     COLUMNS,
@@ -104,8 +104,7 @@ class InferenceClient:
         try:
             self._http = httpx.Client(headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
         except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
-            see = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
-            raise SetupError(f"REVISIT_ENCODER_URL cannot be called: {error}; {see}") from error
+            raise SetupError(NOT_CALLED.format("REVISIT_ENCODER_URL", error)) from error
         self._troubles: dict[str, tuple[EncoderAway, float]] = {}  # by model: why, and when it is tried again
 
     def close(self) -> None:
