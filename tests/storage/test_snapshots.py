@@ -1,5 +1,6 @@
 """A snapshot gives the same map back, on either database, as of one moment."""
 
+import os
 import subprocess
 from contextlib import closing
 from dataclasses import replace
@@ -97,6 +98,20 @@ def test_any_tar_program_can_look_into_it(store: SqlStore) -> None:
     assert listed[0] == "snapshot.json"
     assert listed[-2:] == ["manifest.ndjson", "manifest.sha256"]
     assert sum(name.startswith("images/") for name in listed) == 5
+
+
+def test_a_system_that_writes_a_part_of_what_it_is_given_gets_the_rest(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled(store)
+    write, write_all = os.write, os.writev
+    monkeypatch.setattr(os, "writev", lambda file, pieces: write_all(file, [b"".join(pieces)[:1000]]))
+    monkeypatch.setattr(os, "write", lambda file, rest: write(file, rest[:30_000]))
+
+    path = made(store)
+    monkeypatch.undo()
+    elsewhere.restoring.restore(path, None, NOW)
+    assert contents(elsewhere) == contents(store)
 
 
 def test_it_is_the_map_of_one_moment_while_the_service_works(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 from pydantic import ValidationError
+from pydantic_core import to_json
 
 from schemas.errors import BadSnapshot, Damaged
 from schemas.image import ImageFacts
@@ -25,8 +26,6 @@ PARTS = {"vectors": VECTORS, "appearances": APPEARANCES, "cells": CELLS, "keypoi
 
 BODIES = ("label_shares", *PARTS)
 """Bodies of a description, in the order in which a snapshot has them."""
-
-_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 
 DAMAGED_VIEW = (
     "the attributes of the view {} are damaged, so that no whole snapshot can be made; enrol its image again with its "
@@ -109,7 +108,7 @@ def _written(row: sa.Row[Any], known: Mapping[str, Any], described: "_Described 
         sizes = {name: len(described.bodies[name]) if name in described.bodies else None for name in BODIES}
         view["description"] = described.facts | sizes
         bodies = tuple(described.bodies[name] for name in BODIES if name in described.bodies)
-    return WrittenView(known["sha256"], _JSON.encode(view).encode() + b"\n", bodies)
+    return WrittenView(known["sha256"], to_json(view) + b"\n", bodies)
 
 
 def _moment(value: datetime | None) -> str | None:

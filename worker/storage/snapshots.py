@@ -30,9 +30,6 @@ SAMPLE = 32
 
 COMPARISON_PORTION = 2000
 
-WRITTEN_AT_ONCE = 1024 * 1024
-"""Bytes; images are smaller."""
-
 RECEIVING = ".receiving-"
 
 _ID = re.compile("[0-9a-f-]{36}")
@@ -78,7 +75,7 @@ class Snapshots(Part, again=False):
             A row or an image that nothing can replace is damaged.
         """
         with translated("snapshots"), self._place.draft(snapshot_id) as draft:
-            with draft.open("wb", WRITTEN_AT_ONCE) as file, self._database.reading() as connection:
+            with draft.open("wb", buffering=0) as file, self._database.reading() as connection:
                 views = self._write(connection, file, name, snapshot_id, now, tell)
             tell(views, views)  # who lost the job meanwhile keeps nothing: another may have made it by now
             self._place.keep(draft, snapshot_id, lambda: tell(views, views))
