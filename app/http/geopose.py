@@ -7,6 +7,7 @@ a place, it measures no pose.
 import base64
 import binascii
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -178,7 +179,7 @@ def speaks_oscp(accept: str) -> bool:
     for part in accept.split(","):
         name, *options = (word.strip().lower() for word in part.split(";"))
         told = {key.strip(): value.strip().strip('"') for key, _, value in (word.partition("=") for word in options)}
-        if name == OSCP and told.get("version") == OSCP_LEVEL and told.get("q") not in ("0", "0.0"):
+        if name == OSCP and told.get("version") == OSCP_LEVEL and _weight(told.get("q", "1")) > 0:
             return True
     return False
 
@@ -188,11 +189,13 @@ def _quality(accept: str, media_type: str) -> float:
         name, *options = (word.strip().lower() for word in part.split(";"))
         if name == media_type:
             weights = [option[2:] for option in options if option.startswith("q=")]
-            try:
-                return float(weights[0]) if weights else 1.0
-            except ValueError:
-                return 0.0
+            return _weight(weights[0]) if weights else 1.0
     return 0.0
+
+
+def _weight(stated: str) -> float:
+    """A weight of RFC 9110, 12.4.2; 0 for what is none."""
+    return float(stated) if re.fullmatch(r"0(\.[0-9]{0,3})?|1(\.0{0,3})?", stated) else 0.0
 
 
 def yaw_of(heading: float) -> float:

@@ -74,6 +74,7 @@ def test_metres_are_no_pose() -> None:
         ("application/geopose+json", True),
         ("application/geopose+json, application/json;q=0.5", True),
         ("application/geopose+json;q=0.5, application/json", False),
+        ("application/geopose+json;q=inf, application/json", False),
         ("application/geopose+json;q=x", False),
     ],
 )
@@ -89,6 +90,9 @@ def test_who_asks_for_a_pose(accept: str, wanted: bool) -> None:
         ("text/html, application/vnd.oscp+json;version=2.0;q=0.9", True),
         ('application/vnd.oscp+json; charset=utf-8; version="2.0"', True),
         ("application/vnd.oscp+json;version=2.0;q=0", False),
+        ("application/vnd.oscp+json;version=2.0;q=0.00", False),
+        ("application/vnd.oscp+json;version=2.0;q=0.001", True),
+        ("application/vnd.oscp+json;version=2.0;q=nan", False),
         ("application/vnd.oscp+json;version=1.0", False),
         ("application/vnd.oscp+json", False),
         ("*/*", False),
