@@ -246,6 +246,9 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]], name
 
 def _parts(body: bytes, boundary: bytes) -> list[_Part]:
     reader = _Reader()
+    opening = b"--" + boundary
+    if not body.startswith(opening):  # what stands before says nothing (RFC 2046, 5.1.1)
+        body = body[max(0, body.find(b"\r\n" + opening)) :]
     try:
         parser = MultipartParser(boundary, reader.callbacks())
         parser.write(body)

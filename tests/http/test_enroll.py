@@ -196,6 +196,14 @@ def test_a_name_that_is_not_ascii_is_kept_as_net_sends_it(client: CheckedClient,
     assert (answer.status_code, answer.json()["view"]["filename"]) == (201, kept)
 
 
+@pytest.mark.parametrize(
+    "before", [b"\r\n", b"This is a multi-part message in MIME format.\r\n", b"two\r\n\r\n lines --b\r\n"]
+)
+def test_what_a_mail_library_writes_before_the_first_part_is_passed_over(client: CheckedClient, before: bytes) -> None:
+    answer = client.post("/enroll", content=before + multipart((IMAGE, photo())), headers=FORM)
+    assert (answer.status_code, answer.json()["view"]["filename"]) == (201, "a.jpg")
+
+
 def test_a_part_without_a_name_is_malformed(client: CheckedClient) -> None:
     answer = client.post("/enroll", content=multipart(("X-Nothing: 1", photo())), headers=FORM)
     assert code(answer) == "malformed-body"
