@@ -114,6 +114,14 @@ def test_a_system_that_writes_a_part_of_what_it_is_given_gets_the_rest(
     assert contents(elsewhere) == contents(store)
 
 
+def test_text_with_every_kind_of_line_end_comes_back_as_it_was(store: SqlStore, elsewhere: SqlStore) -> None:
+    odd = "a\u2028b\r\nc\u0085d\x0b\u00e9"
+    enroll(store, "gate", attributes=ViewAttributes(metadata={odd: [odd, 1e-7, -0.0, None]}))
+
+    elsewhere.restoring.restore(made(store), None, NOW)
+    assert [view.attributes.metadata for view in views(elsewhere)] == [{odd: [odd, 1e-7, -0.0, None]}]
+
+
 def test_it_is_the_map_of_one_moment_while_the_service_works(
     store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
