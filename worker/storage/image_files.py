@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from schemas.errors import Damaged, RevisitError
-from worker.storage import owner_file
+from worker.storage import owner_file, whole_files
 from worker.storage.disk_errors import translated
 from worker.storage.locks import held
 from worker.storage.owner_file import OWNER
@@ -61,15 +61,6 @@ def owner_of(folder: Path) -> str | None:
     with suppress(FileNotFoundError):
         return owner_file.read((folder / OWNER).read_bytes())
     return None
-
-
-def _read(path: Path) -> bytes:
-    """The bytes of a file by as few calls as can be: at each, threads wait for each other."""
-    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        return os.read(handle, os.fstat(handle).st_size)  # a regular file is read whole by one call
-    finally:
-        os.close(handle)
 
 
 class Images:
@@ -135,9 +126,7 @@ class Images:
                 file = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
                 stack.callback(os.close, file)
                 written.append((unfinished, path, file))
-                rest = memoryview(image)
-                while rest:
-                    rest = rest[os.write(file, rest) :]
+                whole_files.write(file, [image])
             os.sync()  # for all at once; then each of them is quick, and reports its own errors
             list(pool.map(os.fsync, [file for _, _, file in written]))
             for unfinished, path, _ in written:
@@ -158,7 +147,7 @@ class Images:
             raise Damaged(f"the stored SHA-256 of its image, {digest!r}, is none; enrol the image again")
         path = self._path(digest)
         try:
-            image = _read(path)
+            image = whole_files.read(path)
         except FileNotFoundError:
             raise self._lost(path, "is missing") from None
         except OSError as error:

@@ -28,6 +28,7 @@ from pydantic import ValidationError
 
 from schemas.errors import BadSnapshot
 from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
+from worker.storage import whole_files
 from worker.storage.one_thread import OneThread
 from worker.storage.tar_headers import BLOCK, END, header, padding, told
 
@@ -40,9 +41,6 @@ MOST_PART = 1024 * 1024 * 1024
 
 MOST_WAITING = 16 * 1024 * 1024
 """Bytes of parts that wait to be written: some two portions of views."""
-
-MOST_PIECES = 1000
-"""Pieces that are written by one call; systems take 1,024."""
 
 WRITTEN_AHEAD = 32 * 1024 * 1024
 """Bytes after which the disk is told to begin with them, so that little is left to wait for at the end."""
@@ -131,19 +129,19 @@ class SnapshotWriter:
         if len(first) != self._facts_size:
             raise ValueError("the facts grew by more than their counts")
         self._file.seek(BLOCK)
-        self._write([first])
+        self._write(first)
         self._file.seek(self._end)
         opening = _manifest_line(FACTS, hashlib.sha256(first).hexdigest(), len(first))
         size = len(opening) + self._lines.tell()
-        self._write([header(MANIFEST, size), opening])
+        self._write(header(MANIFEST, size), opening)
         seal = hashlib.sha256(opening)
         self._lines.seek(0)
         while chunk := self._lines.read(1 << 20):
             seal.update(chunk)
-            self._write([chunk])
-        self._write([padding(size)])
+            self._write(chunk)
+        self._write(padding(size))
         self._put([(SEAL, seal.hexdigest().encode())])
-        self._write([END])
+        self._write(END)
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -163,21 +161,14 @@ class SnapshotWriter:
     def _put(self, parts: Sequence[tuple[str, bytes]]) -> None:
         """Write parts, by their names."""
         pieces = [piece for name, body in parts for piece in (header(name, len(body)), body, padding(len(body)))]
-        self._write(pieces)
+        self._write(*pieces)
         self._end += sum(map(len, pieces))
         if self._end - self._begun >= WRITTEN_AHEAD and hasattr(os, "posix_fadvise"):  # macOS has none
             os.posix_fadvise(self._file.fileno(), self._begun, self._end - self._begun, os.POSIX_FADV_DONTNEED)
             self._begun = self._end
 
-    def _write(self, pieces: Sequence[bytes]) -> None:
-        """Write bytes one after another, by as few calls as can be: at each, threads wait for each other."""
-        for at in range(0, len(pieces), MOST_PIECES):
-            some = pieces[at : at + MOST_PIECES]
-            written = os.writev(self._file.fileno(), some)
-            if written < sum(map(len, some)):  # of very many bytes, or on a disk that is nearly full
-                rest = memoryview(b"".join(some))[written:]
-                while rest:
-                    rest = rest[os.write(self._file.fileno(), rest) :]
+    def _write(self, *pieces: bytes) -> None:
+        whole_files.write(self._file.fileno(), pieces)
 
 
 def _as_bytes(facts: SnapshotFacts) -> bytes:
