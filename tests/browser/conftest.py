@@ -56,7 +56,8 @@ class Tab:
 
     def _heard(self, kind: str, text: str) -> None:
         refused = re.search(r"the server responded with a status of 4\d\d", text)
-        if kind in ("error", "warning") and not (refused and self._refusals):
+        changed = "net::ERR_NETWORK_CHANGED" in text  # an interface of the machine: the page has to come through it
+        if kind in ("error", "warning") and not changed and not (refused and self._refusals):
             self.complaints.append(text)
 
     def _sent(self, request: "Request") -> None:

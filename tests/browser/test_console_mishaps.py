@@ -87,6 +87,29 @@ def test_a_service_that_starts_again_is_waited_for_and_a_file_that_is_gone_is_na
     tab.complaints.clear()  # of the file
 
 
+def test_files_of_the_console_that_did_not_arrive_are_fetched_again(opened: Open) -> None:
+    tab = opened("maps")
+    for file, times in (("parts.css", 2), ("dom.js", 1)):
+        tab.page.route(f"**/console/{file}", lambda route: route.abort(), times=times)
+    tab.page.reload()
+    tab.page.get_by_role("alert").filter(has_text=re.compile(r"arrived \(.*/console/main\.js.*\)")).wait_for()
+    tab.page.get_by_role("alert").filter(has_text="(/console/parts.css). It is loaded again in 2 s").wait_for()
+    tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
+    assert tab.page.evaluate("sessionStorage.getItem('revisit-reloads')") is None
+    tab.complaints.clear()  # of the files
+
+
+def test_files_that_never_arrive_are_named_and_not_fetched_for_ever(opened: Open) -> None:
+    tab = opened("maps")
+    tab.page.route("**/console/dom.js", lambda route: route.abort())
+    tab.page.reload()
+    tab.page.get_by_role("alert").filter(has_text="(/console/main.js), 4 times").wait_for()
+    tab.page.unroute("**/console/dom.js")
+    tab.page.reload()
+    tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
+    tab.complaints.clear()  # of the files
+
+
 def test_a_key_that_can_be_none_is_told_from_a_service_that_is_away(opened: Open, locked: Locked) -> None:
     service, _ = locked
     tab = opened("maps", url=service.url, refusals=True)

@@ -1,0 +1,38 @@
+// Loads the page again where one of its files did not arrive: the network changed, or the service began again.
+// A plain script: it runs before any of the files is fetched.
+
+const RELOADS = "revisit-reloads";
+const WAITS_S = [1, 2, 4];
+const missing = new Set();
+
+addEventListener(
+  "error",
+  ({ target }) => {
+    if (target instanceof HTMLScriptElement) missing.add(target.src);
+    if (target instanceof HTMLLinkElement) missing.add(target.href);
+  },
+  true, // such events do not bubble
+);
+
+// After the last file, whether it came or not; of a module that was not found the page names only main.js.
+addEventListener("load", () => {
+  const reloads = Number(sessionStorage.getItem(RELOADS));
+  if (missing.size === 0) {
+    sessionStorage.removeItem(RELOADS);
+    return;
+  }
+  const names = [...missing].map((address) => new URL(address).pathname).join(", ");
+  const told = document.createElement("p");
+  told.setAttribute("role", "alert");
+  document.getElementById("main").replaceChildren(told);
+  if (reloads < WAITS_S.length) {
+    told.textContent = `Not all of the console arrived (${names}). It is loaded again in ${WAITS_S[reloads]} s.`;
+    sessionStorage.setItem(RELOADS, String(reloads + 1));
+    setTimeout(() => location.reload(), 1000 * WAITS_S[reloads]);
+  } else {
+    told.textContent =
+      `Not all of the console arrived (${names}), ${reloads + 1} times. ` +
+      "Is there a proxy between? Reload the page to try again.";
+    sessionStorage.removeItem(RELOADS);
+  }
+});
