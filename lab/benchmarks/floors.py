@@ -73,7 +73,7 @@ def measured(
     for floor, spot, image in one.enrolments():
         attributes = ViewAttributes(place=f"{floor}/{spot}")
         name = maps[floor - 1] if apart else whole
-        runtime.services.enroll.enroll(_encoded(image), name, attributes, patience_s=PATIENCE_S)
+        runtime.services.enroll.enroll(encoded(image), name, attributes, patience_s=PATIENCE_S)
     runtime.comparer.all()  # as the service does in the background
     return _answers(runtime, maps, one.queries(count)), _answers(runtime, maps, one.unknown(count))
 
@@ -81,14 +81,15 @@ def measured(
 def _answers(runtime: Runtime, maps: Sequence[str], shots: Iterable[Shot]) -> list[Answered]:
     answers = []
     for floor, spot, image in shots:
-        result = runtime.services.query.query(_encoded(image), *maps)
+        result = runtime.services.query.query(encoded(image), *maps)
         place = result.results.views[0].view.attributes.place or "0/0"
         first = (int(place.split("/")[0]), int(place.split("/")[1]))
         answers.append(Answered((floor, spot), first, result.decision.status))
     return answers
 
 
-def _encoded(image: Pixels) -> bytes:
+def encoded(image: Pixels) -> bytes:
+    """A drawing as JPEG."""
     done, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not done:
         raise ValueError("an image could not be encoded")

@@ -24,6 +24,7 @@ from worker.method.decision import (
     tells_apart,
 )
 from worker.method.evidence import Ranking
+from worker.method.impostors import ImpostorEvidence
 from worker.method.places import Places
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
@@ -42,6 +43,7 @@ def ranking(
     reranked: int = 100,
     cells: Mapping[int, Sequence[float]] | None = None,
     inliers: int | Sequence[int] = -1,
+    impostors: ImpostorEvidence | None = None,
 ) -> Ranking:
     """Views with the sequence numbers 0, 1, ... and these scores, best first; with so many inliers, or unverified."""
     n = len(scores)
@@ -63,6 +65,7 @@ def ranking(
         (),
         None,
         lambda index: pytest.fail("a decision needs no more evidence"),
+        impostors,
     )
 
 
@@ -78,10 +81,10 @@ def decided(
     searched: int = 100,
     cells: Mapping[int, Sequence[float]] | None = None,
     inliers: int | Sequence[int] = -1,
+    impostors: ImpostorEvidence | None = None,
 ) -> Decision:
-    return decide(
-        ranking(scores, known, cells=cells, inliers=inliers), levels, CALIBRATION, precision, searched=searched
-    )
+    shown = ranking(scores, known, cells=cells, inliers=inliers, impostors=impostors)
+    return decide(shown, levels, CALIBRATION, precision, searched=searched)
 
 
 def test_features_by_hand() -> None:
@@ -171,6 +174,52 @@ def test_of_two_leads_as_large_the_broader_one_is_surer() -> None:
     broad, narrow = (decided([0.3, 0.26], cells={0: lead, 1: [0.0] * 4}) for lead in (everywhere, one_spot))
     assert broad.confidence > narrow.confidence
     assert broad.features["gap"] == narrow.features["gap"]
+
+
+def test_what_images_of_no_place_get_is_no_evidence() -> None:
+    apart = named("lane", "mill")
+    sure = decided([0.6, 0.2], apart, impostors=ImpostorEvidence(0.2, ()))
+    like_a_wall = decided([0.6, 0.2], apart, impostors=ImpostorEvidence(0.58, ()))
+    look_alike = decided([0.6, 0.58], apart, impostors=ImpostorEvidence(0.2, ()))
+    weak = decided([0.21, 0.2], apart, impostors=ImpostorEvidence(0.2, ()))
+
+    assert sure == decided([0.6, 0.2], apart)
+    assert like_a_wall.status == "no_match"
+    assert like_a_wall.confidence == pytest.approx(decided([0.6, 0.58], apart).confidence, rel=1e-4)  # without cells
+    assert like_a_wall.reason.code == "weak"
+    assert "pictures that show no place" in like_a_wall.reason.detail
+    assert look_alike.reason.code == "look-alike"
+    assert "pictures that show no place" not in weak.reason.detail
+
+
+def test_a_lead_that_is_narrow_over_a_image_of_no_place_is_narrow() -> None:
+    cells = {0: [0.5] * 100, 1: [0.1] * 100}
+    spots = ImpostorEvidence(0.1, (np.array([0.0] * 20 + [0.6] * 80, np.float32),))
+    broad, narrow = (decided([0.6, 0.2], cells=cells, impostors=one) for one in (None, spots))
+    assert narrow.features["breadth"] < broad.features["breadth"]
+    assert narrow.confidence < broad.confidence
+
+
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=12).map(lambda scores: sorted(scores, reverse=True)),
+    st.floats(0, 1),
+    st.floats(0, 1),
+    st.integers(0, 2**32),
+)
+def test_the_more_images_of_no_place_get_the_less_sure_is_the_answer(
+    scores: list[float], one: float, other: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    cells = {i: rng.exponential(score + 0.01, 20).astype(np.float32).tolist() for i, score in enumerate(scores[:3])}
+    shown = tuple(rng.exponential(0.3, (2, 20)).astype(np.float32))
+    less, more = sorted((one, other))
+
+    without, few = (
+        decided(scores, cells=cells, impostors=these) for these in (None, ImpostorEvidence(less, shown[:1]))
+    )
+    many = decided(scores, cells=cells, impostors=ImpostorEvidence(more, shown))
+
+    assert many.confidence <= few.confidence <= without.confidence
 
 
 def test_another_view_of_the_same_place_is_no_rival() -> None:

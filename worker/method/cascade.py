@@ -11,6 +11,7 @@ No I/O: stored data of candidates comes through `Fetch`.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,7 @@ from schemas.records import Candidates
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, shortlist, verification
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import RIVALS, DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
+from worker.method.impostors import COMPARED, ImpostorEvidence, Impostors
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
 
 
@@ -80,6 +82,7 @@ def rank(
     top: int,
     reranked: int | None = None,
     product: Product = float_product,
+    impostors: Impostors | None = None,
     observe: Observe = lambda stage, evidence: None,
 ) -> Ranking:
     """Rank the candidates of a query.
@@ -100,6 +103,8 @@ def rank(
         histograms alone.
     product : Product
         Inner products of dense cells; every implementation gives the same result.
+    impostors : Impostors, optional
+        Pictures of no place, by the same recipe: what the query gets of them changes no score and no order.
     observe : function
         Called after each of `STAGES`.
 
@@ -121,7 +126,11 @@ def rank(
         observe("full", evidence)
         verify(query, evidence, fetch)
     observe("verification", evidence)
-    return fuse(evidence, top, fetch)
+    ranking = fuse(evidence, top, fetch)
+    if impostors is None or evidence.shifts is None:
+        return ranking
+    rival = 0.0 if ranking.rival is None else float(ranking.terms["dense"][ranking.rival])
+    return replace(ranking, impostors=compare_impostors(query, recipe, evidence, impostors, product, rival))
 
 
 def shorten(
@@ -194,7 +203,7 @@ def compare_coarse(
             alone = channel_fusion.single_channel_agreement(
                 ours.coarse, coarse, channels, DETAIL, product, cell_aspect=aspect
             ).scores
-            evidence.align_scale = channel_fusion.align_scale(scores, alone)
+            evidence.align_scale = evidence.align_scale or channel_fusion.align_scale(scores, alone)
             scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
         evidence.put("dense", evidence.rows, scores)
         evidence.shifts, evidence.cell_aspect = agreement.shifts * 2, aspect
@@ -214,14 +223,18 @@ def compare_full(
     cells = np.stack(fetch.cells(evidence.seqs(first)))
     places = [evidence.place[int(row)] for row in first]
     aspect = evidence.cell_aspect[places]
-    agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect)
+    known, channels = evidence.distinct, recipe.parameters.cell_channels()
+    if "all" not in known:
+        known["all"] = dense_cells.burstiness_weight(query.cells, product=product)
+    agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect, distinct=known["all"])
     scores, parts = agreement.scores, agreement.cells
     some = config.detail_only(recipe)
     evidence.joined_only.update(first[some:].tolist())
     if some:
-        channels = recipe.parameters.cell_channels()
+        if DETAIL not in known:
+            known[DETAIL] = channel_fusion.distinct_in(query.cells, channels, DETAIL, product)
         alone = channel_fusion.single_channel_agreement(
-            query.cells, cells[:some], channels, DETAIL, product, cell_aspect=aspect[:some]
+            query.cells, cells[:some], channels, DETAIL, product, cell_aspect=aspect[:some], distinct=known[DETAIL]
         )
         scores = channel_fusion.max_fusion(scores, alone.scores, evidence.align_scale)
         parts = channel_fusion.max_fusion_cells(agreement, alone, evidence.align_scale)
@@ -239,6 +252,33 @@ def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
     verified = verification.verify(query.keypoints, fetch.local_features(evidence.seqs(first)))
     evidence.verified.update(zip(first.tolist(), verified, strict=True))
     evidence.put("verification", first, verification.gated_bonus([one.inliers for one in verified]))
+
+
+def compare_impostors(
+    query: Description,
+    recipe: DescriptionRecipe,
+    evidence: Evidence,
+    impostors: Impostors,
+    product: Product,
+    rival: float = 0.0,
+) -> ImpostorEvidence | None:
+    """Stages 1 to 3 for pictures of no place, by the scale and the weights that the candidates in `evidence` got.
+
+    None where none is as much like the query at half size as the best view of another place, whose `dense` is `rival`:
+    then they say no more than that view.
+    """
+    config = evidence.config
+    most = min(config.full_resolution_top_k, COMPARED)
+    few = config.model_copy(update={"full_resolution_top_k": most, "detail_only_top_k": most})
+    near = impostors.near(query.vectors, query.appearance.coarse, product)
+    theirs = compare_histograms(near, recipe, few, impostors, len(near.seqs), {})
+    theirs.align_scale, theirs.distinct = evidence.align_scale, evidence.distinct
+    compare_coarse(query, recipe, theirs, impostors, product)
+    if theirs.terms["dense"].max() < rival:
+        return None
+    compare_full(query, recipe, theirs, impostors, product)
+    score, _ = score_fusion.score(theirs.terms, config, theirs.rows)
+    return ImpostorEvidence(float(score.max()), tuple(theirs.cells.values()))
 
 
 def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:

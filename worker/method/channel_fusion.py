@@ -64,6 +64,7 @@ def single_channel_agreement(
     product: Product = float_product,
     *,
     cell_aspect: Doubles | None = None,
+    distinct: Floats | None = None,
 ) -> Agreement:
     """How well candidates agree with a query by the cells of one channel.
 
@@ -74,8 +75,8 @@ def single_channel_agreement(
     channels, channel
         As in `slice_channel`.
     product : Product
-    cell_aspect : float64 of shape (candidates, 2), optional
-        As in `worker.method.dense_cells.compare`.
+    cell_aspect, distinct
+        As in `worker.method.dense_cells.compare`, the latter as `distinct_in` gives it.
 
     Returns
     -------
@@ -83,7 +84,15 @@ def single_channel_agreement(
         Without scales.
     """
     ours, theirs = (slice_channel(cells, channels, channel) for cells in (query, candidates))
-    return dense_cells.compare(ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False)
+    return dense_cells.compare(
+        ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False, distinct=distinct
+    )
+
+
+def distinct_in(query: Int8s, channels: Collection[str], channel: str, product: Product = float_product) -> Floats:
+    """`worker.method.dense_cells.burstiness_weight` of a query by the cells of one channel."""
+    ours = slice_channel(query, channels, channel)
+    return dense_cells.burstiness_weight(ours, product=product, length=length(ours))
 
 
 def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE) -> float:

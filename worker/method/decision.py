@@ -185,6 +185,7 @@ def features(
     breadth: float = 0.0,
     least: float = 0.0,
     counts: float = 0.0,
+    impostor: float = 0.0,
 ) -> dict[str, float]:
     """Features of a place; each grows with the evidence for it.
 
@@ -202,12 +203,14 @@ def features(
         Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
     counts : float
         What `own` counts, 0..1 (`tells_apart`): 0 for a place that is not the first.
+    impostor : float
+        Score of a picture that shows no place; 0 without one.
     """
-    lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
+    lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least, impostor)))
     broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
     near = float(np.log((score + SOFTENING) / ((levels.own or USUAL_OWN) + SOFTENING)))
     # In other light everything scores less than the map's own views do: by how much, the rival tells.
-    near += max(float(np.log((levels.level + SOFTENING) / (max(rival, LEAST_RIVAL) + SOFTENING))), 0.0)
+    near += max(float(np.log((levels.level + SOFTENING) / (max(rival, impostor, LEAST_RIVAL) + SOFTENING))), 0.0)
     own = counts * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN)
     wide = float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING)))
     return {
@@ -280,8 +283,13 @@ def decide(
     scores = [float(ranking.scores[group[0]]) for group in decided]
     least = floor(ranking.others, usual)
     counts = tells_apart(ranking.rival_inliers, ranking.others)
-    broad, lowest = ranking.breadth(ranking.rivals), least if measured_alike else 1.0
-    first = features(scores[0], _score(ranking, rival), usual, broad, lowest, counts)
+    undisputed = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
+    lowest = least if measured_alike else 1.0
+
+    def probability(of: Mapping[str, float]) -> float:
+        return calibration.probabilities([of])[0]
+
+    first = first_features(ranking, ranking.rivals, usual, lowest, counts)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
     for group, p in zip(decided, calibration.probabilities(read), strict=True):
@@ -292,20 +300,26 @@ def decide(
     status = calibration.verdict(confidence, precision)
     if status == "ambiguous" and len(decided) == 1 and rival is None:
         status = "no_match"
-    alone = ranking.breadth(())
-    undisputed = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
-    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least, undisputed)])
-    outrivalled = rival is not None and unrivalled >= threshold
+    outrivalled = rival is not None and probability(first_features(ranking, (), usual, least, undisputed)) >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
-        unlike = views_unlike(ranking)
-        best = unlike[0] if unlike else None
-        together = features(scores[0], _score(ranking, best), usual, ranking.breadth(unlike), least, counts)
-        if calibration.probabilities([together])[0] >= threshold:
+        together = first_features(ranking, views_unlike(ranking), usual, least, counts)
+        if probability(together) >= threshold:
             status = "ambiguous"
-    reason = _reason(status, outrivalled, searched)
+    of_views = replace(ranking, impostors=None)
+    of_no_place = probability(first_features(of_views, ranking.rivals, usual, lowest, counts)) >= threshold
+    reason = _reason(status, outrivalled, of_no_place, searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), confidences(places), first)
+
+
+def first_features(
+    ranking: Ranking, others: Sequence[int], levels: MapLevels, least: float, counts: float
+) -> dict[str, float]:
+    """Features of the first place against other views, by their indices, best first, and against the impostors."""
+    score, rival = (float(ranking.scores[some[0]]) if some else 0.0 for some in ((0,), others))
+    impostor = 0.0 if ranking.impostors is None else ranking.impostors.score
+    return features(score, rival, levels, ranking.breadth(others), least, counts, impostor)
 
 
 def views_unlike(ranking: Ranking) -> list[int]:
@@ -316,11 +330,6 @@ def views_unlike(ranking: Ranking) -> list[int]:
     """
     first = int(ranking.seqs[0])
     return [i for i, seq in enumerate(ranking.seqs[: ranking.reranked]) if not ranking.places.alike(first, int(seq))]
-
-
-def _score(ranking: Ranking, index: int | None) -> float:
-    """Score of a view of the ranking; 0 for none."""
-    return 0.0 if index is None else float(ranking.scores[index])
 
 
 def blame_image(decision: Decision, problem: str | None) -> Decision:
@@ -352,11 +361,17 @@ def confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
 
 EMPTY = Reason("empty", "there was no view to compare with", "enrol images, or widen the filters")
 HISTOGRAMS_ALONE = "ranked by histograms alone, by which the map does not know what wrong answers get"
+OF_NO_PLACE = Reason(
+    "weak",
+    "the first place stands out from the others, but hardly from pictures that show no place, such as a wall close by, "
+    "the sky, or a page of text",
+    "take the photo so that more of the place shows",
+)
 SURE = Reason("sure", "one place stands out from all others", "nothing")
 
 
-def _reason(status: Verdict, outrivalled: bool, searched: int) -> Reason:
-    """Why; `outrivalled`: without its rival the first place would be matched."""
+def _reason(status: Verdict, outrivalled: bool, of_no_place: bool, searched: int) -> Reason:
+    """Why; `outrivalled`: without its rival the first place would be matched; `of_no_place`: without the impostors."""
     if status == "matched":
         return SURE
     if outrivalled:
@@ -366,6 +381,8 @@ def _reason(status: Verdict, outrivalled: bool, searched: int) -> Reason:
             "look at the rival: enrol more views of both places where they differ, take the photo so that this shows, "
             "or narrow the search with near or place",
         )
+    if of_no_place:
+        return OF_NO_PLACE
     if searched < FEW_VIEWS:
         return Reason(
             "few-views",

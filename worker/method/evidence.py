@@ -13,6 +13,7 @@ from worker.method import score_fusion
 from worker.method.breadth import breadth
 from worker.method.context_graph import GraphComparison
 from worker.method.hough import Doubles
+from worker.method.impostors import ImpostorEvidence
 from worker.method.places import Places
 from worker.method.score_fusion import Rows
 from worker.method.verification import Verified
@@ -140,6 +141,8 @@ class Ranking:
         The rival.
     candidate : function
         Any of them, by index, with its evidence.
+    impostors : ImpostorEvidence or None
+        What the query gets of pictures of no place; None where it was compared with none.
     """
 
     seqs: Sequence64
@@ -157,6 +160,7 @@ class Ranking:
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None
     candidate: Callable[[int], RankedCandidate]
+    impostors: ImpostorEvidence | None = None
 
     @property
     def rival(self) -> int | None:
@@ -174,8 +178,8 @@ class Ranking:
         """Over how much of the query a place leads over views of others: `worker.method.breadth.breadth`.
 
         The largest over the views of the place that were compared at full resolution, so that more of them never lower
-        it, of the least over the others, so that more of those never raise it; 0 where the best of these was not
-        compared.
+        it, of the least over the others and the impostors, so that more of those never raise it; 0 where the best of
+        the others was not compared.
 
         Parameters
         ----------
@@ -188,10 +192,9 @@ class Ranking:
             return 0.0
         seqs = self.seqs
         own = [cells for i, cells in self.cells.items() if self.places.same(int(seqs[first]), int(seqs[i]))]
-        theirs = [self.cells[i] for i in others if i in self.cells]
-        return max(
-            (min((breadth(cells, one) for one in theirs), default=breadth(cells, None)) for cells in own), default=0.0
-        )
+        theirs = [self.cells.get(i) for i in others if i in self.cells] or [None]
+        theirs += self.impostors.cells if self.impostors else ()
+        return max((min(breadth(cells, one) for one in theirs) for cells in own), default=0.0)
 
 
 @dataclass(eq=False)
@@ -215,7 +218,9 @@ class Evidence:
     shifts : intp of shape (reranked, 2), or None without dense cells
         Displacements (rows, columns) of their grids, in full-resolution cells of the query.
     align_scale : float
-        Factor that brings similarities of detail alone to the level of those of all channels.
+        Factor that brings similarities of detail alone to the level of those of all channels; 0: not known yet.
+    distinct : dict of channel to float32 of shape (rows * columns,)
+        Burstiness weights of the query's cells by that channel, and by ``all``, once computed.
     scales : dict of candidate to float
         How much larger a candidate shows the place; only of those compared at full resolution.
     cells : dict of candidate to float32 of shape (rows * columns,)
@@ -236,6 +241,7 @@ class Evidence:
     cell_aspect: Doubles = field(default_factory=lambda: np.ones((0, 2)))
     shifts: npt.NDArray[np.intp] | None = None
     align_scale: float = 0.0
+    distinct: dict[str, Floats] = field(default_factory=dict)
     scales: dict[int, float] = field(default_factory=dict)
     cells: dict[int, Floats] = field(default_factory=dict)
     joined_only: set[int] = field(default_factory=set)

@@ -11,6 +11,7 @@ from schemas.comparisons import KnownView
 from schemas.errors import Conflict, InvalidParameters, NotFound, ParameterError, Unavailable
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
+from worker.description import impostors
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
@@ -259,8 +260,9 @@ class CalibrationService:
                 found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
                 shown = fetcher.without_fixed(description)
                 ranking = cascade.rank(
-                    shown, found, now.description, config, fetcher, top=GROUPED, product=self._product
-                )
+                    shown, found, now.description, config, fetcher, top=GROUPED, product=self._product,
+                    impostors=impostors.shipped_for(now.description),
+                )  # fmt: skip
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
             except ViewGone as error:
                 gone |= error.seqs

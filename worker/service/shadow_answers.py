@@ -12,6 +12,7 @@ from schemas.errors import Unavailable
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Selection, Sequence64, ViewRecord
 from schemas.shadow import ShadowAnswer
+from worker.description import impostors
 from worker.description.describer import Describer
 from worker.description.scheduler import Timed
 from worker.method import cascade
@@ -90,7 +91,10 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
         selection = Selection(among, np.array(sorted(gone), np.int64))
         try:
             found = side.index.search(description.vectors, max(GROUPED, config.searched), selection)
-            ranking = cascade.rank(query, found, recipe, config, side.fetcher, top=GROUPED, product=product)
+            ranking = cascade.rank(
+                query, found, recipe, config, side.fetcher, top=GROUPED, product=product,
+                impostors=impostors.shipped_for(recipe),
+            )  # fmt: skip
         except ViewGone as error:
             gone |= error.seqs
             continue

@@ -1,0 +1,73 @@
+"""Every query is compared with pictures that show no place; that changes what it is worth, and no order."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from schemas.description import DETAIL, SEMANTIC, Description
+from tests.method.views_in_a_dictionary import CONFIG, FOUND, RECIPE, described, enrolled
+from worker.method.byte_vectors import float_product
+from worker.method.cascade import rank
+from worker.method.evidence import Ranking
+from worker.method.impostors import COMPARED, LOOKED, Impostors
+
+QUERY = replace(described(), vectors=dict.fromkeys((SEMANTIC, DETAIL), np.eye(8, dtype=np.float32)[0]))
+
+
+def of(descriptions: list[Description]) -> Impostors:
+    return Impostors(
+        {name: np.stack([vector] * len(descriptions)) for name, vector in QUERY.vectors.items()},
+        np.stack([one.cells for one in descriptions]),
+        QUERY.appearance.extent,
+    )
+
+
+LIKE_IT = of([described(seed, noise) for seed, noise in ((1, 3.0), (2, 0.2), (3, 2.0), (4, 0.4), (5, 1.0), (6, 0.1))])
+UNLIKE_IT = of([described(seed, 9.0) for seed in range(20, 30)])
+
+
+def ranked(impostors: Impostors | None) -> Ranking:
+    return rank(QUERY, FOUND, RECIPE, CONFIG, enrolled(), top=6, impostors=impostors)
+
+
+def test_they_change_neither_scores_nor_order() -> None:
+    without, compared = ranked(None), ranked(LIKE_IT)
+
+    assert without.impostors is None
+    assert compared.impostors is not None
+    np.testing.assert_array_equal(without.seqs, compared.seqs)
+    np.testing.assert_array_equal(without.scores, compared.scores)
+    assert [one.parts for one in without.first] == [one.parts for one in compared.first]
+
+
+def test_the_most_alike_are_compared() -> None:
+    near = LIKE_IT.near(QUERY.vectors, QUERY.appearance.coarse, float_product)
+
+    assert near.seqs.tolist() == [1, 3, 4, 5]
+    assert len(near.seqs) == LOOKED
+    assert len(ranked(LIKE_IT).impostors.cells) == COMPARED  # type: ignore[union-attr]
+
+
+def test_they_get_what_views_get_but_for_graphs_and_keypoints() -> None:
+    first = ranked(of([described(11, 0.15)])).impostors
+    same = ranked(of([QUERY])).impostors
+
+    assert first is not None
+    assert same is not None
+    counted = {"dense_full", "dense", "histogram.semantic", "histogram.detail"}
+    total = sum(CONFIG.weights.terms().values())
+    most = sum(weight for name, weight in CONFIG.weights.terms().items() if name in counted) / total
+    assert 0 < first.score < same.score <= most + 1e-6
+    assert same.score > 0.99 * most
+
+
+def test_those_less_like_the_query_than_another_place_say_nothing() -> None:
+    assert ranked(UNLIKE_IT).impostors is None
+
+
+def test_a_lead_is_broad_only_where_it_is_over_them_too() -> None:
+    alone, compared = ranked(None), ranked(of([QUERY]))
+
+    assert alone.breadth(alone.rivals) > 0
+    assert compared.breadth(compared.rivals) == 0
+    assert compared.breadth(()) == 0

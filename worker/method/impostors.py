@@ -1,0 +1,97 @@
+"""Impostors: descriptions of pictures that show no place, with which every query is compared.
+
+A wall close by, the sky or a page of text is much like any other of its kind. Where a map has one view of such a kind,
+a query of the kind stands out from all of its other views. What the query gets of pictures that are certainly of no
+place says how little that means (cohort normalisation of speaker verification: Auckenthaler et al. 2000).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from schemas.comparisons import KnownView
+from schemas.description import Appearance, ContextGraph, Floats, Int8s, LocalFeatures
+from schemas.records import Candidates
+from worker.method import dense_cells
+from worker.method.byte_vectors import Product, quantise
+from worker.method.shortlist import rough_similarity
+
+LOOKED = 4
+"""Pictures that are most like the query by their rough cells, and so compared with it."""
+
+COMPARED = 2
+"""How many of those are compared at full resolution."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImpostorEvidence:
+    """What a query gets of pictures that show no place.
+
+    Parameters
+    ----------
+    score : float
+        The largest, 0..1, as views are scored but for graphs and keypoints.
+    cells : tuple of float32 of shape (rows * columns,)
+        As `worker.method.evidence.Ranking.cells`, of those compared at full resolution.
+    """
+
+    score: float
+    cells: tuple[Floats, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Impostors:
+    """Descriptions by one recipe, numbered from 0; implements `worker.method.cascade.Fetch`.
+
+    Parameters
+    ----------
+    vectors : mapping of channel to float32 of shape (n, dimensions)
+        Histogram vectors.
+    full : int8 of shape (n, rows, columns, dimensions)
+        Dense cells at full resolution.
+    extent : (float, float)
+        (width, height) of all of the pictures as fractions of the longer side.
+    """
+
+    vectors: Mapping[str, Floats]
+    full: Int8s
+    extent: tuple[float, float]
+
+    @cached_property
+    def coarse(self) -> Int8s:
+        """Dense cells at half size, int8 of shape (n, rows // 2, columns // 2, dimensions)."""
+        return quantise(dense_cells.halve(self.full))
+
+    def near(self, vectors: Mapping[str, Floats], coarse: Int8s, product: Product) -> Candidates:
+        """The `LOOKED` pictures most like a query, by its histogram vectors and its cells at half size."""
+        rough = rough_similarity(coarse, list(self.coarse), product)
+        seqs = np.sort(np.argsort(-rough, kind="stable")[:LOOKED]).astype(np.int64)
+        distances = {
+            name: np.linalg.norm(ours[seqs] - vectors[name], axis=1).astype(np.float32)
+            for name, ours in self.vectors.items()
+        }
+        ranks = {name: np.argsort(np.argsort(values, kind="stable")) + 1 for name, values in distances.items()}
+        return Candidates(0, len(self.full), seqs, seqs, distances, ranks)
+
+    def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
+        """Half-resolution cells; the graphs are empty."""
+        return [Appearance(self.coarse[seq], _EMPTY, self.extent) for seq in seqs]
+
+    def cells(self, seqs: Sequence[int]) -> list[Int8s]:
+        """Full-resolution cells."""
+        return [self.full[seq] for seq in seqs]
+
+    def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
+        """None are kept: no keypoints of one wall are those of another."""
+        raise NotImplementedError
+
+    def known(self, seqs: Sequence[int]) -> list[KnownView]:
+        """Nothing."""
+        return [KnownView() for _ in seqs]
+
+
+_EMPTY = ContextGraph(
+    np.zeros(0, np.int16), np.zeros((0, 2), np.float32), np.zeros((0, 1), np.float32), np.zeros(0, np.float32)
+)
