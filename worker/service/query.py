@@ -215,8 +215,7 @@ class QueryService:
             image, wanted, describers, top=max(top, GROUPED), candidates=candidates
         )
         decisions = [_decide(one.results, precision, top, candidates) for one in found]
-        told = drive is not None or any(one.status != "no_match" for one in decisions)
-        if blank := told and self._is_blank(image):
+        if blank := self._is_blank(image):
             decisions = [of_nothing(one) for one in decisions]
         driven = None
         if drive is not None:
