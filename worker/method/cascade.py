@@ -41,8 +41,8 @@ class ViewGone(Exception):
         self.seqs = frozenset(seqs)
 
 
-class Fetch(Protocol):
-    """Reads stored data of candidates by sequence number. Every method raises `ViewGone` when a view is missing."""
+class FetchCells(Protocol):
+    """Reads what stages 1 to 3 compare, by sequence number. Every method raises `ViewGone` when a view is missing."""
 
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
         """Half-resolution cells, graphs and extents, in the order of `seqs`."""
@@ -52,12 +52,16 @@ class Fetch(Protocol):
         """Full-resolution cells, int8 (rows, columns, dimensions) each, in the order of `seqs`."""
         ...
 
-    def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
-        """Local features, in the order of `seqs`."""
-        ...
-
     def known(self, seqs: Sequence[int]) -> list[KnownView]:
         """Names, positions and the map's own comparisons, in the order of `seqs`."""
+        ...
+
+
+class Fetch(FetchCells, Protocol):
+    """Reads all stored data of candidates."""
+
+    def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
+        """Local features, in the order of `seqs`."""
         ...
 
 
@@ -165,7 +169,7 @@ def compare_histograms(
     candidates: Candidates,
     recipe: DescriptionRecipe,
     config: RankingConfig,
-    fetch: Fetch,
+    fetch: FetchCells,
     reranked: int,
     appearances: Mapping[int, Appearance],
 ) -> Evidence:
@@ -188,7 +192,7 @@ def compare_histograms(
 
 
 def compare_coarse(
-    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
+    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: FetchCells, product: Product
 ) -> None:
     """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone) and context graphs."""
     evidence.appearances = evidence.appearances or fetch.appearances(evidence.seqs(evidence.rows))
@@ -213,7 +217,7 @@ def compare_coarse(
 
 
 def compare_full(
-    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
+    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: FetchCells, product: Product
 ) -> None:
     """Stage 3: full-resolution cells of the best so far."""
     config = evidence.config

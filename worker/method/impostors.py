@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from schemas.comparisons import KnownView
-from schemas.description import Appearance, ContextGraph, Floats, Int8s, LocalFeatures
+from schemas.description import Appearance, ContextGraph, Floats, Int8s
 from schemas.records import Candidates
 from worker.method import dense_cells
 from worker.method.byte_vectors import Product, quantise
@@ -43,7 +43,7 @@ class ImpostorEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Impostors:
-    """Descriptions by one recipe, numbered from 0; implements `worker.method.cascade.Fetch`.
+    """Descriptions by one recipe, numbered from 0; implements `worker.method.cascade.FetchCells`.
 
     Parameters
     ----------
@@ -82,10 +82,6 @@ class Impostors:
     def cells(self, seqs: Sequence[int]) -> list[Int8s]:
         """Full-resolution cells."""
         return [self.full[seq] for seq in seqs]
-
-    def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
-        """None are kept: no keypoints of one wall are those of another."""
-        raise NotImplementedError
 
     def known(self, seqs: Sequence[int]) -> list[KnownView]:
         """Nothing."""
