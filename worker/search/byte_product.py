@@ -1,54 +1,61 @@
-"""Inner products of int8 vectors (dense cells, descriptors), by the fastest method on this processor."""
+"""Inner products of int8 vectors (dense cells, descriptors), by the faster method on this processor."""
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
 from schemas.description import Floats, Int8s
+from schemas.errors import SetupError
 from schemas.settings import Settings
-from worker.configure import configure_torch, has_torch
+from worker.encoders.compact.onnx import open_session
 from worker.method.byte_vectors import Numbers, Product, float_product
+
+GRAPH = Path(__file__).with_name("byte_product.onnx")
+"""ONNX's MatMulInteger, as `training.commands.export_byte_product` writes it."""
 
 CELLS, DIMENSIONS = 448, 64
 """Shape of the trial: that of a comparison at full resolution."""
 
 TRIALS = 5
 
+_SIGN = np.uint8(128)
+"""What makes an int8 the uint8 that is 128 more: the bit of its sign the other way round."""
+
 
 def make_product(settings: Settings) -> Product:
-    """The product of int8 vectors: the fastest; float32 without torch, and for `color`, which does not load it."""
-    if settings.encoder == "color" or not has_torch():
-        return float_product
-    if settings.encoder != "lseg" and settings.device == "cpu":
-        configure_torch(1)  # nothing but these products runs in torch then: more threads would only spin
-    return fastest_product()
+    """The product of int8 vectors: the faster; float32 for `color`, which does not load ONNX Runtime."""
+    return float_product if settings.encoder == "color" else fastest_product()
 
 
 def fastest_product() -> Product:
-    """PyTorch's int8 product where it is faster (processors with instructions for it), float32 otherwise.
+    """ONNX Runtime's product of bytes where it is faster (processors with instructions for it), float32 otherwise.
 
-    Both give the same integers, so a trial of a few milliseconds may decide.
+    Both give the same integers, so a trial of a few milliseconds may decide. Without such instructions sums of two
+    products may saturate at 16 bits: the trial has the largest.
     """
-    cells = np.random.default_rng(0).integers(-64, 65, (CELLS, DIMENSIONS), np.int8)
+    cells = np.random.default_rng(0).integers(-127, 128, (CELLS, DIMENSIONS), np.int8)
+    cells[0], cells[1] = 127, -127
     try:
-        if not np.array_equal(_of_bytes(cells, cells), float_product(cells, cells)):
+        of_bytes = byte_product()
+        if not np.array_equal(of_bytes(cells, cells), float_product(cells, cells)):
             return float_product
-    except (AttributeError, RuntimeError):  # this PyTorch lacks the product
+    except (SetupError, RuntimeError):  # this ONNX Runtime lacks the product
         return float_product
-    return min((_of_bytes, float_product), key=lambda product: _seconds(lambda: product(cells, cells)))
+    return min((of_bytes, float_product), key=lambda product: _seconds(lambda: product(cells, cells)))
 
 
-def _of_bytes(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
-    """Inner products of int8 rows as int32, shape (left rows, right rows)."""
-    import torch
-    from torch.utils.dlpack import from_dlpack
+def byte_product() -> Product:
+    """ONNX Runtime's product of bytes, in the caller's thread alone; raises SetupError where there is none."""
+    session = open_session(GRAPH, threads=1)
 
-    if left.shape[1] == 1:  # PyTorch 2.13 returns uninitialised memory for one column
-        return float_product(left, right)
-    # `from_numpy` warns of arrays that cannot be written, such as those read from the store; nothing writes to them.
-    products: Numbers = torch._int_mm(from_dlpack(left), from_dlpack(right).T).numpy()
-    return products
+    def product(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
+        """Inner products of int8 rows as int32, shape (left rows, right rows)."""
+        products: Numbers = session.run(None, {"left": left.view(np.uint8) ^ _SIGN, "right": right})[0]
+        return products
+
+    return product
 
 
 def _seconds(work: Callable[[], object]) -> float:

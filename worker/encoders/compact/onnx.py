@@ -1,4 +1,4 @@
-"""The compact network in ONNX Runtime, for CPUs."""
+"""The compact network in ONNX Runtime, for CPUs, and sessions of other graphs that ship."""
 
 import importlib
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ class OnnxEngine:
     """
 
     def __init__(self, fields: Path | None, fine: Sequence[Path] = (), *, threads: int) -> None:
-        self._fields = None if fields is None else _session(fields, threads)
-        self._fine = [_session(graph, threads) for graph in fine]
+        self._fields = None if fields is None else open_session(fields, threads)
+        self._fine = [open_session(graph, threads) for graph in fine]
 
     def fields(self, images: Bytes2D) -> tuple[Floats, Floats]:
         """See `Engine.fields`."""
@@ -50,12 +50,19 @@ class OnnxEngine:
         return words
 
 
-def _session(graph: Path, threads: int) -> Any:
+def open_session(graph: Path, threads: int) -> Any:
+    """Load a graph.
+
+    Raises
+    ------
+    SetupError
+        ONNX Runtime cannot be imported, or cannot load it.
+    """
     try:
         runtime: Any = importlib.import_module("onnxruntime")
     except ImportError as error:
         raise SetupError(
-            f"on a CPU the encoder compact runs in ONNX Runtime, which cannot be imported ({error}); "
+            f"{graph.name} runs in ONNX Runtime, which cannot be imported ({error}); "
             "install the package onnxruntime as requirements.lock has it"
         ) from error
     options = runtime.SessionOptions()
