@@ -33,6 +33,9 @@ _QUICK = 1_000_000  # bytes that are parsed within a few milliseconds
 _EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*utf-8'[^']*'([^\s;\"]+)", re.IGNORECASE)
 """Of a part (RFC 8187): .NET sends what is not ASCII so, and beside it as ``filename="=?utf-8?B?...?="``."""
 
+_PART = re.compile(rb"\r\n(?i:content-disposition)[ \t]*:[ \t]*form-data")
+"""Where a part begins, whatever its boundary: of an image no bytes are."""
+
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 
 
@@ -247,16 +250,22 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]], name
 def _parts(body: bytes, boundary: bytes) -> list[_Part]:
     reader = _Reader()
     opening = b"--" + boundary
-    if not body.startswith(opening):  # what stands before says nothing (RFC 2046, 5.1.1)
-        body = body[max(0, body.find(b"\r\n" + opening)) :]
+    # What stands before the first boundary says nothing (RFC 2046, 5.1.1).
+    first = 0 if body.startswith(opening) else max(0, body.find(b"\r\n" + opening))
     try:
         parser = MultipartParser(boundary, reader.callbacks())
-        parser.write(body)
+        parser.write(body[first:])
         parser.finalize()
     except FormParserError as error:
         raise BadBody("malformed-body", f"the multipart body is malformed: {error}") from None
     if not reader.ended:
         raise BadBody("malformed-body", "the multipart body breaks off before its closing boundary")
+    begun = len(_PART.findall(body))
+    if begun > len(reader.parts):
+        raise BadBody(
+            "malformed-body",
+            f"the multipart body has {begun} parts, but boundaries before {len(reader.parts)} of them: one is damaged",
+        )
     return reader.parts
 
 

@@ -199,6 +199,17 @@ def test_a_whole_body_is_parsed() -> None:
     assert sent.parameters == [("place", "p"), ("map", "m"), ("metadata", '{"a": 1}')]
 
 
+def test_no_part_is_lost_behind_a_damaged_boundary() -> None:
+    """What stands before the first boundary says nothing, and an image decodes whatever follows it."""
+    for number in range(WHOLE.count(b"--xyz\r\n")):
+        at = -1
+        for _ in range(number + 1):
+            at = WHOLE.index(b"--xyz\r\n", at + 1)
+        for changed in range(at, at + 5):
+            damaged = WHOLE[:changed] + b"?" + WHOLE[changed + 1 :]
+            assert taken(b"\r\n" + damaged, FORM) == "malformed-body", (number, changed)
+
+
 def test_a_body_cut_at_every_byte_is_malformed() -> None:
     # The closing boundary is --xyz--; the line end behind it may be missing.
     for cut in range(1, len(WHOLE) - 2):

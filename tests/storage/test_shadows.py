@@ -260,6 +260,16 @@ def test_a_snapshot_meanwhile_is_of_the_map_without_its_shadow(store: SqlStore) 
     assert store.jobs.shadow("campus").state == "ready"
 
 
+def test_a_changed_precision_is_that_of_the_shadow_too(store: SqlStore) -> None:
+    """It changes no score that the shadow is compared by, and the switch must not undo it."""
+    made_ready(store)
+    store.maps.change(
+        "campus", MapChanges(ranking=lambda recipe: recipe.ranking.model_copy(update={"precision": 0.99}))
+    )
+    store.jobs.switch_to_shadow("campus", NOW)
+    assert store.maps.get("campus").ranking == PAPER.ranking.model_copy(update={"precision": 0.99})
+
+
 def test_a_changed_ranking_is_that_of_the_map_alone(store: SqlStore) -> None:
     made_ready(store)
     store.maps.change("campus", MapChanges(ranking=lambda recipe: recipe.ranking.model_copy(update={"candidates": 3})))

@@ -44,11 +44,13 @@ def change(connection: sa.Connection, name: str, changes: MapChanges) -> int | N
 
 
 def _set_ranking(connection: sa.Connection, row: sa.Row[Any], change_of: Callable[[MapRecipe], RankingConfig]) -> None:
-    ranking = change_of(map_record(connection, row).recipe).model_dump_json()
+    recipe = map_record(connection, row).recipe
+    changed = recipe.model_copy(update={"ranking": change_of(recipe)})
+    ranking = changed.ranking.model_dump_json()
     if ranking != row.ranking:
         switching.set_ranking(connection, row, ranking)
-    # A running recipe switch must not undo the change; a shadow keeps the ranking that it is compared by.
-    if row.next_ranking is not None and row.shadow is None:
+    # A recipe switch must not undo the change. Only a shadow keeps the scores that it is compared by.
+    if row.next_ranking is not None and (row.shadow is None or switching.scores_alike(recipe, changed)):
         following = MapRecipe(
             description=find_recipe(connection, row.next_recipe), ranking=ranking_of(row.next_ranking)
         )
