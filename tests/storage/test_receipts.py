@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,13 @@ import sqlalchemy as sa
 
 from app.http.examples import VIEW
 from schemas.map_changes import MapChanges
-from schemas.records import Filters, Replay, ViewAttributes
+from schemas.records import Filters, Position, Replay, ViewAttributes
 from schemas.removal import Holding
 from schemas.wire import Enrolled, EnrolledMany
 from tests.answers import enrolled
 from tests.storage.carried import made, views
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, image, recipe
+from worker.storage.calls import SINCE_CHANGED
 from worker.storage.image_files import Discarded
 from worker.storage.store import SqlStore
 from worker.storage.tables import CALLS
@@ -95,6 +97,32 @@ def repeated(store: SqlStore, key: str) -> Any:
     assert replay.status == 201
     body = json.loads(replay.body)
     return (EnrolledMany if "views" in body else Enrolled).model_validate(body)
+
+
+def test_answers_that_are_kept_tell_a_changed_view_as_it_is_now(campus: SqlStore) -> None:
+    gate, yard, _ = views(campus)
+    answered(campus, "one", gate.id)
+    answered(campus, "two", gate.id, yard.id)
+    before = repeated(campus, "two")
+
+    position = Position(x=1.5, y=0.0, heading=90)
+    campus.views.change(gate.id, lambda _: ViewAttributes("porch", position, NOW, {"run": 1}))
+
+    one, two = repeated(campus, "one"), repeated(campus, "two")
+    for told in (one.view, two.views[0].view):
+        assert (told.place, told.captured_at, told.metadata, told.filename) == ("porch", NOW, {"run": 1}, None)
+        assert told.position.model_dump(exclude_none=True) == {"x": 1.5, "y": 0.0, "heading": 90.0}
+        assert told.image == before.views[0].view.image
+    assert two.views[1].view == before.views[1].view
+    assert [warning.detail for warning in one.warnings + two.views[1].warnings] == [SINCE_CHANGED] * 2
+
+
+def test_answers_that_are_kept_stay_where_a_change_takes_nothing_away(campus: SqlStore) -> None:
+    gate = views(campus)[0]
+    answered(campus, "one", gate.id)
+    before = repeated(campus, "one")
+    campus.views.change(gate.id, lambda had: replace(had, metadata={"run": 1}))
+    assert repeated(campus, "one") == before
 
 
 def test_answers_of_calls_go_after_a_day_also_where_nobody_calls(

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import datetime, timedelta
 from functools import partial
 from typing import Any
@@ -13,7 +14,8 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
-from schemas.records import Replay
+from schemas.records import Replay, ViewAttributes
+from schemas.wire_views import rfc3339
 from worker.storage import checksums, clock, dialect
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
@@ -38,6 +40,11 @@ DELETED: Mapping[str, Any] = {
 """What a view that was deleted has in an answer that is repeated."""
 
 SINCE_DELETED = "it concerned a view that was deleted since"
+
+SINCE_CHANGED = "it concerned a view whose attributes were changed since"
+
+Retelling = Callable[[dict[str, Any]], None]
+"""Changes what an answer tells of a view, in place."""
 
 _ID = re.compile("[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 
@@ -139,19 +146,12 @@ class Calls(Part):
         """
         kept = sa.select(CALLS.c.key, CALLS.c.body).where(CALLS.c.finished_at.is_not(None))
         if len(views) <= FEW:
-            kept = kept.where(sa.or_(*map(self._named, views)))
+            kept = kept.where(sa.or_(*(_named(self._database.engine, view) for view in views)))
         with self._database.reading() as connection:
             rows = connection.execution_options(yield_per=100).execute(kept)
             keys = [row.key for row in rows if _names(row.body or b"", views)]
         for portion in batches(keys):
-            self._database.freeing(partial(_forget, keys=portion, ids=views))
-
-    def _named(self, view_id: str) -> sa.ColumnElement[bool]:
-        """SQL condition that the id of a view stands in an answer."""
-        wanted = sa.literal(view_id.encode(), sa.LargeBinary)
-        if dialect.is_file(self._database.engine):
-            return sa.func.instr(CALLS.c.body, wanted) > 0
-        return sa.func.position(wanted.op("IN")(CALLS.c.body)) > 0
+            self._database.freeing(partial(_retell, keys=portion, ids=views, change=_forget, why=SINCE_DELETED))
 
     def _store(self, key: str, store: Callable[[], None]) -> None:
         """Store the end of a call now, or later where that cannot be done."""
@@ -182,36 +182,66 @@ def _time(connection: sa.Connection, now: datetime, shared: bool) -> datetime:
     return now if not shared or dialect.is_file(connection.engine) else clock.shared_time(connection)
 
 
+def tell_changed(connection: sa.Connection, view_id: str, attributes: ViewAttributes) -> None:
+    """Have the answers that are kept to be repeated tell of a view what it has now, and nothing that it had."""
+    kept = sa.select(CALLS.c.key).where(CALLS.c.finished_at.is_not(None), _named(connection.engine, view_id))
+    position = asdict(attributes.position)
+    now = {
+        "place": attributes.place,
+        "position": None if all(value is None for value in position.values()) else position,
+        "captured_at": None if attributes.captured_at is None else rfc3339(attributes.captured_at),
+        "metadata": dict(attributes.metadata),
+        "filename": attributes.filename,
+    }
+    keys = connection.scalars(kept).all()
+    _retell(connection, keys, [view_id], lambda view: view.update(now), SINCE_CHANGED)
+
+
+def _named(engine: sa.Engine, view_id: str) -> sa.ColumnElement[bool]:
+    """SQL condition that the id of a view stands in an answer."""
+    wanted = sa.literal(view_id.encode(), sa.LargeBinary)
+    if dialect.is_file(engine):
+        return sa.func.instr(CALLS.c.body, wanted) > 0
+    return sa.func.position(wanted.op("IN")(CALLS.c.body)) > 0
+
+
 def _names(text: bytes, ids: Collection[str]) -> bool:
     """Whether some text has the id of one of these views."""
     return any(found in ids for found in _ID.findall(text.decode(errors="replace")))
 
 
-def _forget(connection: sa.Connection, keys: Collection[str], ids: Collection[str]) -> None:
-    """Take what is told of deleted views out of the answers of some calls; one that is damaged goes as a whole."""
+def _retell(
+    connection: sa.Connection, keys: Collection[str], ids: Collection[str], change: Retelling, why: str
+) -> None:
+    """Change what the answers of some calls tell of some views; one that is damaged goes as a whole."""
     for row in list(connection.execute(sa.select(CALLS).where(CALLS.c.key.in_(keys)))):
         of = CALLS.c.key == row.key
         if row.finished_at is None or not checksums.is_whole(CALLS, row, row.checksum):
             connection.execute(sa.delete(CALLS).where(of, CALLS.c.finished_at.is_not(None)))
         else:
-            connection.execute(sa.update(CALLS).where(of).values(body=_without(row.body, ids)))
+            connection.execute(sa.update(CALLS).where(of).values(body=_retold(row.body, ids, change, why)))
 
 
-def _without(body: bytes, ids: Collection[str]) -> bytes:
-    """The answer to an enrolment, of one image or of several, without what it tells of deleted views."""
+def _retold(body: bytes, ids: Collection[str], change: Retelling, why: str) -> bytes:
+    """The answer to an enrolment, of one image or of several, with what it tells of some views changed."""
     answer = json.loads(body)
     for one in (answer, *answer.get("views", ())):
         view = one.get("view")
         if isinstance(view, dict) and view["id"] in ids:
-            view |= DELETED
-            view["image"]["sha256"] = "0" * 64
+            change(view)
         for warning in one.get("warnings", ()):
             if warning["view"] in ids:
-                warning["detail"] = SINCE_DELETED
+                warning["detail"] = why
     for refused in (answer, *answer.get("errors", ())):
         if _names(refused.get("detail", "").encode(), ids):
-            refused["detail"] = SINCE_DELETED
+            refused["detail"] = why
     return json.dumps(answer, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def _forget(view: dict[str, Any]) -> None:
+    """Leave of a deleted view nothing but its id, and what its image is like."""
+    view |= DELETED
+    view["image"]["sha256"] = "0" * 64
 
 
 def keep_vocabulary(connection: sa.Connection, digest: str, tensors: bytes) -> None:

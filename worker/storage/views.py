@@ -10,6 +10,7 @@ from schemas.description import Floats
 from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
+from worker.storage.calls import tell_changed
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
@@ -19,6 +20,7 @@ from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
 from worker.storage.rows import (
     VIEW_STATES,
+    as_json,
     attribute_columns,
     attributes_of,
     batches,
@@ -33,6 +35,8 @@ from worker.storage.rows import (
     views_of,
 )
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, VIEWS
+
+NO_METADATA = as_json({})
 
 
 class Views(Part):
@@ -148,7 +152,8 @@ class Views(Part):
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
         """Replace a view's attributes by `change` of them, in one transaction; raises NotFound, Damaged.
 
-        When `change` raises, the view stays as it was.
+        Answers that are kept to be repeated tell nothing any more of what it had. When `change` raises, the view stays
+        as it was.
         """
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
@@ -156,12 +161,14 @@ class Views(Part):
                 raise Damaged(ATTRIBUTES.format(id=view_id, sha256=str(before.sha256)))
             attributes = change(attributes_of(before))
             columns = attribute_columns(attributes)
-            if any(value != getattr(before, column) for column, value in columns.items()):
+            if had := {column: was for column, value in columns.items() if (was := getattr(before, column)) != value}:
                 sealed = {**columns, "checksum": checksums.of_row(VIEWS, {**before._mapping, **columns})}
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**sealed))
                 keep_pairs(connection, before.seq, attributes)
                 connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
                 clock.tick_edited(connection, before.map_id)
+                if any(was not in (None, NO_METADATA) for was in had.values()):
+                    tell_changed(connection, view_id, attributes)
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
