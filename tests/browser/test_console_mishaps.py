@@ -110,6 +110,22 @@ def test_files_that_never_arrive_are_named_and_not_fetched_for_ever(opened: Open
     tab.complaints.clear()  # of the files
 
 
+def test_what_was_dropped_on_the_way_is_asked_for_again(opened: Open, service: RunningService) -> None:
+    enrolled(service, "dropped", range(540, 541), place="porch")
+    tab = opened("maps/dropped")
+    dropped: list[str] = []
+
+    def drop(route: "Route") -> None:
+        dropped.append(route.request.url)
+        route.abort()
+
+    tab.page.route(re.compile("/maps/dropped$"), drop, times=1)
+    tab.page.reload()
+    tab.page.get_by_label("View 1: porch").wait_for()
+    assert dropped
+    tab.complaints.clear()  # of what was dropped
+
+
 def test_a_key_that_can_be_none_is_told_from_a_service_that_is_away(opened: Open, locked: Locked) -> None:
     service, _ = locked
     tab = opened("maps", url=service.url, refusals=True)

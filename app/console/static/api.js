@@ -7,6 +7,7 @@ export { Problem, address };
 
 const KEY = "revisit-key";
 const RECENT = 20;
+const AGAIN_MS = 300;
 
 /** Problems that this tab was answered, newest first: {at, method, path, problem}. */
 export const recentProblems = [];
@@ -28,11 +29,17 @@ export const service = new Revisit("", { key: key.get });
 /**
  * Send a request and give its Response; raises Problem.
  * options: query (object; null and "" are left out), form (FormData), json, type (of the JSON), signal,
- * quiet (a 401 opens no dialog).
+ * quiet (a 401 opens no dialog). What only reads and gets no answer is sent once more: a browser drops what is under way
+ * when its machine changes networks.
  */
 export async function send(method, path, { form = null, quiet = false, ...options } = {}) {
+  const once = () => service.send(method, path, { ...options, body: form });
   try {
-    return await service.send(method, path, { ...options, body: form });
+    return await once().catch(async (error) => {
+      if (method !== "GET" || !(error instanceof Problem) || error.status !== 0) throw error;
+      await new Promise((done) => setTimeout(done, AGAIN_MS));
+      return once();
+    });
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
     throw remembered(method, path, error, quiet);
