@@ -339,7 +339,8 @@ def _services(
     )  # fmt: skip
     calibration = CalibrationService(
         maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
-        comparisons=store.comparisons, catalogue=catalogue, shipped=shipped_calibration, product=product,
+        comparisons=store.comparisons, catalogue=catalogue, describers=describers, shipped=shipped_calibration,
+        product=product,
     )  # fmt: skip
     imports = ImportService(
         uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,

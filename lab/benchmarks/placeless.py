@@ -19,16 +19,18 @@ import cv2
 import numpy as np
 
 from lab.benchmarks.floors import VERDICTS, encoded
-from lab.evaluation.in_process import runtime_for_measuring
+from lab.datasets.dataset import ENDINGS
+from lab.evaluation.in_process import runtime_for_measuring, train_vocabulary
 from lab.evaluation.once import DescribeOnce
 from lab.evaluation.service import PATIENCE_S
 from scenes import scene
 from scenes.geometry import Pixels
 from scenes.placeless import KINDS, placeless
 from scenes.scene import Kind
+from schemas.recipe import MapRecipe
 from schemas.records import ViewAttributes
 from schemas.settings import Settings
-from worker.description import impostors
+from worker.description.describers import Describers
 from worker.description.presets import Wanted, make_recipe
 from worker.runtime import Runtime
 
@@ -54,9 +56,11 @@ class Verdicts:
     same: Counter[str] = field(default_factory=Counter)
 
 
-def measured(runtime: Runtime, name: str, images: Sequence[Pixels], places: Sequence[bytes], maps: int) -> Verdicts:
+def measured(
+    runtime: Runtime, recipe: MapRecipe, name: str, images: Sequence[Pixels], places: Sequence[bytes], maps: int
+) -> Verdicts:
     """Verdicts of several maps, each with the places and another of the first images."""
-    found, recipe = Verdicts(), make_recipe(runtime.encoder, Wanted(), preset="default")
+    found = Verdicts()
     for number in range(maps):
         map_name = f"{name}-{number}"
         runtime.store.maps.put(map_name, recipe, datetime.now(UTC))
@@ -71,6 +75,17 @@ def measured(runtime: Runtime, name: str, images: Sequence[Pixels], places: Sequ
             (found.same if is_same else found.others)[verdict] += 1
         runtime.services.maps.delete(map_name)
     return found
+
+
+def recipe_by(runtime: Runtime, folder: Path | None) -> MapRecipe:
+    """The preset `default`, with the vocabulary that ships or one that is learned from the images in a folder."""
+    recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
+    if folder is None:
+        return recipe
+    images = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
+    description = recipe.description
+    learned = train_vocabulary(runtime, images, runtime.describers.of(description), description.parameters)
+    return make_recipe(runtime.encoder, Wanted(), preset="default", vocabulary=learned)
 
 
 def drawn(count: int) -> dict[str, list[Pixels]]:
@@ -110,16 +125,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=13, help="of each kind")
     parser.add_argument("--maps", type=int, default=3, help="of each kind, each with another image enrolled")
     parser.add_argument("--places", type=int, default=20, help="drawn places that each map has besides")
+    parser.add_argument("--learn-from", type=Path, help="images that the vocabulary is learned from; default: it ships")
     options = parser.parse_args(arguments)
     kinds = read(options.images, options.count) if options.images else drawn(options.count)
     places = [encoded(scene(f"placeless {n}", STREETS[n % 2]).pixels) for n in range(options.places)]
     settings = Settings(encoder=options.encoder, threads=1)
     rows: dict[str, dict[str, Verdicts]] = {kind: {} for kind in kinds}
     with runtime_for_measuring(settings, make_scheduler=DescribeOnce) as runtime:
+        recipe = recipe_by(runtime, options.learn_from)
         for by, (kind, images) in product(("without", "with"), kinds.items()):
-            shipped = impostors.shipped_for if by == "with" else lambda recipe: None
-            with patch.object(impostors, "shipped_for", shipped):
-                rows[kind][by] = measured(runtime, f"{kind}-{by}", images, places, options.maps)
+            compared = Describers.impostors if by == "with" else lambda describers, recipe: None
+            with patch.object(Describers, "impostors", compared):
+                rows[kind][by] = measured(runtime, recipe, f"{kind}-{by}", images, places, options.maps)
     total = {by: Verdicts() for by in ("without", "with")}
     for of_kind in rows.values():
         for by, one in of_kind.items():

@@ -110,7 +110,7 @@ def test_files_that_never_arrive_are_named_and_not_fetched_for_ever(opened: Open
     tab.complaints.clear()  # of the files
 
 
-def test_what_was_dropped_on_the_way_is_asked_for_again(opened: Open, service: RunningService) -> None:
+def test_what_was_dropped_on_the_way_is_fetched_again(opened: Open, service: RunningService) -> None:
     enrolled(service, "dropped", range(540, 541), place="porch")
     tab = opened("maps/dropped")
     dropped: list[str] = []

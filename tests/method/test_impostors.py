@@ -41,7 +41,7 @@ def test_they_change_neither_scores_nor_order() -> None:
 
 
 def test_the_most_alike_are_compared() -> None:
-    near = LIKE_IT.near(QUERY.vectors, QUERY.appearance.coarse, float_product)
+    near = LIKE_IT.near(QUERY.vectors, QUERY.appearance.coarse, float_product, {})
 
     assert near.seqs.tolist() == [1, 3, 4, 5]
     assert len(near.seqs) == LOOKED
@@ -71,3 +71,16 @@ def test_a_lead_is_broad_only_where_it_is_over_them_too() -> None:
     assert alone.breadth(alone.rivals) > 0
     assert compared.breadth(compared.rivals) == 0
     assert compared.breadth(()) == 0
+
+
+def test_without_histograms_they_are_as_far_as_candidates_are_on_average() -> None:
+    without = replace(LIKE_IT, vectors={})
+    usual = {SEMANTIC: 0.5, DETAIL: 0.25}
+
+    near = without.near(QUERY.vectors, QUERY.appearance.coarse, float_product, usual)
+
+    assert {name: set(found.tolist()) for name, found in near.distances.items()} == {SEMANTIC: {0.5}, DETAIL: {0.25}}
+    alike, farther = ranked(LIKE_IT).impostors, ranked(without).impostors
+    assert alike is not None
+    assert farther is not None
+    assert 0 < farther.score < alike.score  # those of LIKE_IT have the very histograms of the query

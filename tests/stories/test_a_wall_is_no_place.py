@@ -12,6 +12,7 @@ from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
 from tests.stories.test_decisions_a_robot_can_act_on import PLACES, enroll, query, settled
+from worker.description.describers import Describers
 from worker.runtime import build
 
 pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
@@ -45,7 +46,7 @@ def test_another_of_the_kind_is_not_matched_and_without_the_impostors_it_is(
     assert found["matched"] == 0
     assert found["no_match"] > 3 * found["ambiguous"]
 
-    monkeypatch.setattr("worker.description.impostors.shipped_for", lambda recipe: None)
+    monkeypatch.setattr(Describers, "impostors", lambda describers, recipe: None)
     assert verdicts(client)["matched"] > 0
 
 

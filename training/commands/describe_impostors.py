@@ -58,8 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
     encoder, _ = make_encoder(Settings(encoder=options.encoder), options.threads)
-    recipe = make_recipe(encoder, Wanted(), preset="default").description
-    describer = Describer(encoder, recipe, general_vocabulary(encoder, "default"))
+    recipe = make_recipe(encoder, Wanted(), preset=impostors.PRESET).description
+    describer = Describer(encoder, recipe, general_vocabulary(encoder, impostors.PRESET))
     path = options.to or impostors.path_of(options.encoder)
     impostors.write(path, recipe, described(encoder, describer, options.of_a_kind))
     print(f"{path.name}: {path.stat().st_size:,} bytes")

@@ -7,9 +7,11 @@ from collections.abc import Iterable
 from schemas.errors import NotFound, SetupError
 from schemas.recipe import DescriptionRecipe
 from worker.description.describer import Describer
+from worker.description.impostors import shipped_for
 from worker.description.ports import Encoder, VocabularyReader
 from worker.description.vocabularies import Vocabulary
 from worker.method.byte_vectors import Product, float_product
+from worker.method.impostors import Impostors
 
 KEPT = 32
 """Describers kept; with more recipes in use the least recently used are built again, in milliseconds."""
@@ -40,6 +42,7 @@ class Describers:
         self._product = product
         self._general = {vocabulary.digest: vocabulary for vocabulary in general}
         self._made: OrderedDict[str, Describer] = OrderedDict()
+        self._impostors: OrderedDict[str, Impostors | None] = OrderedDict()
         self._lock = threading.Lock()
 
     def of(self, recipe: DescriptionRecipe) -> Describer:
@@ -67,6 +70,22 @@ class Describers:
             while len(self._made) > KEPT:
                 self._made.popitem(last=False)
         return describer
+
+    def impostors(self, recipe: DescriptionRecipe) -> Impostors | None:
+        """Pictures of no place that queries of a map with a recipe are compared with; None where there are none."""
+        with self._lock:
+            if recipe.id in self._impostors:
+                self._impostors.move_to_end(recipe.id)
+                return self._impostors[recipe.id]
+        try:
+            found = shipped_for(recipe, self._vocabulary)
+        except SetupError:  # of another encoder than the running one, by a vocabulary that ships with that
+            found = None
+        with self._lock:
+            self._impostors[recipe.id] = found
+            while len(self._impostors) > KEPT:
+                self._impostors.popitem(last=False)
+        return found
 
     def _vocabulary(self, digest: str) -> Vocabulary:
         if digest in self._general:

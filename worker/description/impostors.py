@@ -1,7 +1,7 @@
 """The impostors that ship: descriptions of pictures that show no place, one file for an encoder."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -10,9 +10,15 @@ import numpy.typing as npt
 from safetensors import safe_open
 from safetensors.numpy import save
 
+from schemas.description import Floats
 from schemas.recipe import DescriptionRecipe
-from worker.description.vocabularies import SHIPPED
+from worker.description.vocabularies import SHIPPED, Vocabulary, shipped
+from worker.method import dense_cells
+from worker.method.byte_vectors import quantise
 from worker.method.impostors import Impostors
+
+PRESET = "default"
+"""By whose vocabulary they are described."""
 
 EXTENT = (1.0, 0.75)
 """Of the pictures that `training.commands.describe_impostors` draws."""
@@ -27,15 +33,30 @@ def write(path: Path, recipe: DescriptionRecipe, impostors: Impostors) -> None:
     """Keep impostors that were described by a recipe."""
     tensors: dict[str, npt.NDArray[np.generic]] = {"cells": impostors.full}
     tensors |= {f"vectors.{name}": vectors for name, vectors in impostors.vectors.items()}
-    path.write_bytes(save(tensors, {"recipe": json.dumps(_of_cells(recipe))}))
+    path.write_bytes(save(tensors, {"recipe": json.dumps(_described_by(recipe))}))
 
 
-def shipped_for(recipe: DescriptionRecipe) -> Impostors | None:
-    """Those that ship for a recipe; None where there are none for its encoder, vocabulary or cells."""
+def shipped_for(recipe: DescriptionRecipe, vocabulary_of: Callable[[str], Vocabulary]) -> Impostors | None:
+    """Those that ship for a recipe; None where there are none for its encoder or its grid of cells.
+
+    For another vocabulary than theirs they have no histograms, and their cells are carried over to it.
+
+    Parameters
+    ----------
+    recipe : DescriptionRecipe
+    vocabulary_of : function
+        From the digest that the recipe has to its vocabulary.
+    """
     if recipe.parameters.dense is None or (kept := read(recipe.encoder)) is None:
         return None
-    of_cells, impostors = kept
-    return impostors if of_cells == _of_cells(recipe) else None
+    described_by, impostors = kept
+    wanted = _described_by(recipe)
+    if described_by == wanted:
+        return impostors
+    before = shipped(recipe.encoder, PRESET)
+    if before is None or _grid(described_by) != _grid(wanted):
+        return None
+    return _carried_over(impostors, before, vocabulary_of(recipe.vocabulary), recipe.parameters.cell_channels())
 
 
 @cache
@@ -45,13 +66,35 @@ def read(encoder: str) -> tuple[Mapping[str, object], Impostors] | None:
     if not path.exists():
         return None
     with safe_open(path, "numpy") as file:
-        of_cells = json.loads(file.metadata()["recipe"])
+        described_by = json.loads(file.metadata()["recipe"])
         named = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     vectors = {name.removeprefix("vectors."): values for name, values in named.items() if name.startswith("vectors.")}
-    return of_cells, Impostors(vectors, named["cells"], EXTENT)
+    return described_by, Impostors(vectors, named["cells"], EXTENT)
 
 
-def _of_cells(recipe: DescriptionRecipe) -> Mapping[str, object]:
+def _described_by(recipe: DescriptionRecipe) -> dict[str, object]:
     """What cells and histograms of a picture without anything that moves depend on."""
     parameters = recipe.parameters.model_dump(mode="json", include={"channels", "dense"})
     return {"weights": recipe.weights, "vocabulary": recipe.vocabulary, **parameters}
+
+
+def _grid(described_by: Mapping[str, object]) -> dict[str, object]:
+    """Of that, what cells depend on besides the vocabulary, which has what reduces them."""
+    channels = described_by["channels"]
+    assert isinstance(channels, Mapping)
+    layers = {name: channel["layer"] for name, channel in channels.items()}
+    return {"weights": described_by["weights"], "dense": described_by["dense"], "layers": layers}
+
+
+def _carried_over(impostors: Impostors, before: Vocabulary, now: Vocabulary, shares: Mapping[str, float]) -> Impostors:
+    """As described by another vocabulary: what both keep of a cell is nearly all of it (cosine .96 and more)."""
+    reduced: dict[str, Floats] = {}
+    end = 0
+    for name in sorted(shares):
+        old, new = before.channels[name].cells, now.channels[name].cells
+        if old is None or new is None:
+            continue
+        begin, end = end, end + old.shape[1]
+        whole = impostors.full[..., begin:end].astype(np.float32) @ old.T  # its columns are orthonormal
+        reduced[name] = dense_cells.reduce(whole, new)
+    return Impostors({}, quantise(dense_cells.join(reduced, shares)), impostors.extent)

@@ -274,7 +274,8 @@ def compare_impostors(
     config = evidence.config
     most = min(config.full_resolution_top_k, COMPARED)
     few = config.model_copy(update={"full_resolution_top_k": most, "detail_only_top_k": most})
-    near = impostors.near(query.vectors, query.appearance.coarse, product)
+    usual = {name: float(found[evidence.rows].mean()) for name, found in evidence.candidates.distances.items()}
+    near = impostors.near(query.vectors, query.appearance.coarse, product, usual)
     theirs = compare_histograms(near, recipe, few, impostors, len(near.seqs), {})
     theirs.align_scale, theirs.distinct = evidence.align_scale, evidence.distinct
     compare_coarse(query, recipe, theirs, impostors, product)

@@ -48,7 +48,7 @@ class Impostors:
     Parameters
     ----------
     vectors : mapping of channel to float32 of shape (n, dimensions)
-        Histogram vectors.
+        Histogram vectors; none where they are by another vocabulary than the views.
     full : int8 of shape (n, rows, columns, dimensions)
         Dense cells at full resolution.
     extent : (float, float)
@@ -64,13 +64,20 @@ class Impostors:
         """Dense cells at half size, int8 of shape (n, rows // 2, columns // 2, dimensions)."""
         return quantise(dense_cells.halve(self.full))
 
-    def near(self, vectors: Mapping[str, Floats], coarse: Int8s, product: Product) -> Candidates:
-        """The `LOOKED` pictures most like a query, by its histogram vectors and its cells at half size."""
+    def near(
+        self, vectors: Mapping[str, Floats], coarse: Int8s, product: Product, usual: Mapping[str, float]
+    ) -> Candidates:
+        """The `LOOKED` pictures most like a query by its cells at half size.
+
+        Where they have no histograms, these are taken to be as far from the query's `vectors` as is `usual`.
+        """
         rough = rough_similarity(coarse, list(self.coarse), product)
         seqs = np.sort(np.argsort(-rough, kind="stable")[:LOOKED]).astype(np.int64)
         distances = {
-            name: np.linalg.norm(ours[seqs] - vectors[name], axis=1).astype(np.float32)
-            for name, ours in self.vectors.items()
+            name: np.linalg.norm(self.vectors[name][seqs] - theirs, axis=1).astype(np.float32)
+            if name in self.vectors
+            else np.full(len(seqs), usual[name], np.float32)
+            for name, theirs in vectors.items()
         }
         ranks = {name: np.argsort(np.argsort(values, kind="stable")) + 1 for name, values in distances.items()}
         return Candidates(0, len(self.full), seqs, seqs, distances, ranks)

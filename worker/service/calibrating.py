@@ -11,7 +11,7 @@ from schemas.comparisons import KnownView
 from schemas.errors import Conflict, InvalidParameters, NotFound, ParameterError, Unavailable
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
-from worker.description import impostors
+from worker.description.describers import Describers
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
@@ -107,6 +107,7 @@ class CalibrationService:
     maps, views, listings, descriptions, comparisons
         Parts of the store.
     catalogue : Catalogue
+    describers : Describers
     shipped : function
         Recipe to the calibration shipped for it.
     product : Product
@@ -122,12 +123,13 @@ class CalibrationService:
         descriptions: Descriptions,
         comparisons: Comparisons,
         catalogue: Catalogue,
+        describers: Describers,
         shipped: Callable[[MapRecipe], Calibration],
         product: Product,
     ) -> None:
         self._maps, self._views, self._listings = maps, views, listings
         self._descriptions, self._comparisons = descriptions, comparisons
-        self._catalogue, self._shipped, self._product = catalogue, shipped, product
+        self._catalogue, self._describers, self._shipped, self._product = catalogue, describers, shipped, product
 
     def calibrate(
         self,
@@ -261,7 +263,7 @@ class CalibrationService:
                 shown = fetcher.without_fixed(description)
                 ranking = cascade.rank(
                     shown, found, now.description, config, fetcher, top=GROUPED, product=self._product,
-                    impostors=impostors.shipped_for(now.description),
+                    impostors=self._describers.impostors(now.description),
                 )  # fmt: skip
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
             except ViewGone as error:

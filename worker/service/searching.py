@@ -13,7 +13,6 @@ from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Filters, MapRecord, Selection
-from worker.description import impostors
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -213,7 +212,7 @@ class Searcher:
             top=top,
             reranked=candidates,
             product=self._product,
-            impostors=impostors.shipped_for(recipe),
+            impostors=self._describers.impostors(recipe),
             observe=watch.observe,
         )
         shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]

@@ -12,7 +12,6 @@ from schemas.errors import Unavailable
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Selection, Sequence64, ViewRecord
 from schemas.shadow import ShadowAnswer
-from worker.description import impostors
 from worker.description.describer import Describer
 from worker.description.scheduler import Timed
 from worker.method import cascade
@@ -21,6 +20,7 @@ from worker.method.calibration import Calibration, Verdict
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
+from worker.method.impostors import Impostors
 from worker.method.places import Places
 from worker.search.fetcher import Fetcher
 from worker.search.ports import SearchableIndex
@@ -44,6 +44,7 @@ class Side:
     calibration : Calibration
     describer : Describer or None
         None where the recipe is of another encoder than the running one.
+    impostors : Impostors or None
     """
 
     recipe: MapRecipe
@@ -52,6 +53,7 @@ class Side:
     levels: MapLevels
     calibration: Calibration
     describer: Describer | None
+    impostors: Impostors | None
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
             found = side.index.search(description.vectors, max(GROUPED, config.searched), selection)
             ranking = cascade.rank(
                 query, found, recipe, config, side.fetcher, top=GROUPED, product=product,
-                impostors=impostors.shipped_for(recipe),
+                impostors=side.impostors,
             )  # fmt: skip
         except ViewGone as error:
             gone |= error.seqs

@@ -206,7 +206,10 @@ class ShadowService:
         self._compare_views(name, following, recipe, changes.seqs, min(old_levels.compared, FIRST), stopping)
         new_levels = self._comparisons.levels(name, by.id)
         old, new = (
-            Side(which, of, self._fetcher(of, which.description), levels, calibration, self._describer_of(which))
+            Side(
+                which, of, self._fetcher(of, which.description), levels, calibration, self._describer_of(which),
+                self._describers.impostors(which.description),
+            )
             for which, of, levels, calibration in (
                 (record.recipe, index, old_levels, self._calibration(record)),
                 (recipe, following, new_levels, self._shipped(recipe)),

@@ -5,13 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scenes import scene
 from scenes.placeless import KINDS
+from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.settings import Settings
-from training.commands.describe_impostors import OF_A_KIND, main
+from training.commands.describe_impostors import OF_A_KIND, described, main
 from worker.description import impostors
-from worker.description.presets import Wanted, make_recipe
+from worker.description.describer import Describer
+from worker.description.presets import Wanted, general_vocabulary, make_recipe
+from worker.description.vocabularies import Vocabulary, train
 from worker.encoders.choosing import SHAREABLE, make_encoder
+from worker.method.impostors import Impostors
 
 
 def recipe_of(encoder: str, **wanted: object) -> DescriptionRecipe:
@@ -19,10 +24,18 @@ def recipe_of(encoder: str, **wanted: object) -> DescriptionRecipe:
     return make_recipe(made, Wanted(**wanted), preset="default").description  # type: ignore[arg-type]
 
 
+def none_needed(digest: str) -> Vocabulary:
+    raise AssertionError(f"the vocabulary {digest} is not theirs")
+
+
+def shipped_for(recipe: DescriptionRecipe) -> Impostors | None:
+    return impostors.shipped_for(recipe, none_needed)
+
+
 @pytest.mark.parametrize("encoder", SHAREABLE)
 def test_those_that_ship_are_of_the_recipe_that_maps_get(encoder: str) -> None:
     recipe = recipe_of(encoder)
-    shipped = impostors.shipped_for(recipe)
+    shipped = shipped_for(recipe)
     grid = recipe.parameters.dense
 
     assert shipped is not None
@@ -34,24 +47,50 @@ def test_those_that_ship_are_of_the_recipe_that_maps_get(encoder: str) -> None:
     assert shipped.full.reshape(len(shipped.full), -1).any(axis=1).all()
 
 
-def test_other_labels_change_nothing_and_other_cells_or_vocabularies_have_none() -> None:
+def test_other_labels_change_nothing_and_other_cells_have_none() -> None:
     recipe = recipe_of("compact")
-    assert impostors.shipped_for(recipe_of("compact", labels=("road", "building", "sky"))) is not None
-    assert impostors.shipped_for(recipe_of("compact", parameters={"dense": {"rows": 8}})) is None
-    assert impostors.shipped_for(recipe.model_copy(update={"vocabulary": "0" * 64})) is None
-    assert impostors.shipped_for(recipe.model_copy(update={"weights": "0" * 64})) is None
-    assert impostors.shipped_for(recipe_of("color")) is None
+    assert shipped_for(recipe_of("compact", labels=("road", "building", "sky"))) is not None
+    assert shipped_for(recipe_of("compact", parameters={"dense": {"rows": 8}})) is None
+    assert shipped_for(recipe.model_copy(update={"weights": "0" * 64})) is None
+    assert shipped_for(recipe_of("color")) is None
+
+
+def test_for_a_vocabulary_of_ones_own_their_cells_are_carried_over() -> None:
+    encoder, _ = make_encoder(Settings(encoder="compact"), 1)
+    recipe = make_recipe(encoder, Wanted(), preset="default").description
+    images = [Image.of(scene(f"vocabulary {n}", ("street", "park")[n % 2]).pixels) for n in range(12)]
+    parameters = recipe.parameters.model_copy(
+        update={
+            "channels": {
+                name: channel.model_copy(update={"vocabulary_size": 16, "dimensions": 8})
+                for name, channel in recipe.parameters.channels.items()
+            }
+        }
+    )
+    own = recipe.model_copy(update={"parameters": parameters})
+    general = Describer(encoder, recipe, general_vocabulary(encoder, "default"))
+    learned = train(encoder.encode(images), lambda field: general.segment(field).static, parameters, 0)
+    own = own.model_copy(update={"vocabulary": learned.digest})
+
+    carried = impostors.shipped_for(own, {learned.digest: learned}.__getitem__)
+
+    assert carried is not None
+    assert carried.vectors == {}
+    drawn = described(encoder, Describer(encoder, own, learned), 1).full.astype(np.float32)
+    ours = carried.full[::OF_A_KIND].astype(np.float32)
+    cosines = (ours * drawn).sum(-1) / np.maximum(np.linalg.norm(ours, axis=-1) * np.linalg.norm(drawn, axis=-1), 1)
+    assert np.median(cosines) > 0.9
 
 
 def test_the_command_writes_what_the_service_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     to = tmp_path / "some.safetensors"
     main(["--encoder", "compact", "--of-a-kind", "1", "--to", str(to)])
-    shipped = impostors.shipped_for(recipe_of("compact"))
+    shipped = shipped_for(recipe_of("compact"))
 
     monkeypatch.setattr(impostors, "path_of", lambda encoder: to)
     impostors.read.cache_clear()
     try:
-        made = impostors.shipped_for(recipe_of("compact"))
+        made = shipped_for(recipe_of("compact"))
     finally:
         impostors.read.cache_clear()
 
