@@ -29,6 +29,8 @@ PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "http_proxy", "https_proxy"
 Answer = TypeVar("Answer", bound=BaseModel)
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
+MAYBE_DELETED = "; it may have been deleted by this very call, which was sent before and whose answer got lost"
+
 
 class Connection:
     """The connections to one service.
@@ -225,8 +227,10 @@ class Connection:
             else:
                 if answer.status_code < 300 or answer.status_code == accept:
                     return answer
-                named = retry_after(answer)
-                trouble = RevisitProblem(problem_of(answer), named)
+                named, problem = retry_after(answer), problem_of(answer)
+                if lost and method == "DELETE" and answer.status_code == 404:
+                    problem.detail += MAYBE_DELETED
+                trouble = RevisitProblem(problem, named)
                 # 429 and 503 are answered before any work is done: every request may be repeated.
                 again = answer.status_code in (429, 503) or (lost and _still_runs(answer))
                 # A time that is over by a clock that is ahead must not make calls without a pause.

@@ -222,6 +222,16 @@ def test_an_answer_that_cannot_be_unpacked_is_not_revisits() -> None:
         client(handler).maps()
 
 
+def test_a_deletion_whose_answer_got_lost_may_have_been_done() -> None:
+    with pytest.raises(RevisitProblem, match="it may have been deleted by this very call") as told:
+        client(in_turn(httpx.ReadError("reset"), refused("not-found", 404)), Clock()).delete("v1")
+    assert told.value.code == "not-found"
+
+    with pytest.raises(RevisitProblem) as told:
+        client(in_turn(refused("not-found", 404)), Clock()).delete("v1")
+    assert "this very call" not in str(told.value)
+
+
 def test_a_request_that_would_be_done_twice_is_not_repeated_when_its_answer_was_lost() -> None:
     tries: list[int] = []
 
