@@ -86,14 +86,19 @@ def _grid(described_by: Mapping[str, object]) -> dict[str, object]:
     return {"weights": described_by["weights"], "dense": described_by["dense"], "layers": layers}
 
 
-def _carried_over(impostors: Impostors, before: Vocabulary, now: Vocabulary, shares: Mapping[str, float]) -> Impostors:
-    """As described by another vocabulary: what both keep of a cell is nearly all of it (cosine .96 and more)."""
+def _carried_over(
+    impostors: Impostors, before: Vocabulary, now: Vocabulary, shares: Mapping[str, float]
+) -> Impostors | None:
+    """As described by another vocabulary: what both keep of a cell is nearly all of it (cosine .96 and more).
+
+    None where one of both has nothing that reduces cells.
+    """
     reduced: dict[str, Floats] = {}
     end = 0
     for name in sorted(shares):
         old, new = before.channels[name].cells, now.channels[name].cells
         if old is None or new is None:
-            continue
+            return None
         begin, end = end, end + old.shape[1]
         whole = impostors.full[..., begin:end].astype(np.float32) @ old.T  # its columns are orthonormal
         reduced[name] = dense_cells.reduce(whole, new)

@@ -17,6 +17,7 @@ from worker.description.presets import Wanted, general_vocabulary, make_recipe
 from worker.description.vocabularies import Vocabulary, train
 from worker.encoders.choosing import SHAREABLE, make_encoder
 from worker.method.impostors import Impostors
+from worker.method.vocabulary import ChannelVocabulary
 
 
 def recipe_of(encoder: str, **wanted: object) -> DescriptionRecipe:
@@ -80,6 +81,9 @@ def test_for_a_vocabulary_of_ones_own_their_cells_are_carried_over() -> None:
     ours = carried.full[::OF_A_KIND].astype(np.float32)
     cosines = (ours * drawn).sum(-1) / np.maximum(np.linalg.norm(ours, axis=-1) * np.linalg.norm(drawn, axis=-1), 1)
     assert np.median(cosines) > 0.9
+
+    words_alone = {name: ChannelVocabulary(channel.words) for name, channel in learned.channels.items()}
+    assert impostors.shipped_for(own, lambda digest: Vocabulary(words_alone)) is None
 
 
 def test_the_command_writes_what_the_service_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
