@@ -29,8 +29,8 @@ export const service = new Revisit("", { key: key.get });
 /**
  * Send a request and give its Response; raises Problem.
  * options: query (object; null and "" are left out), form (FormData), json, type (of the JSON), signal,
- * quiet (a 401 opens no dialog). What only reads and gets no answer is sent once more: a browser drops what is under way
- * when its machine changes networks.
+ * quiet (a 401 opens no dialog). What only reads and gets no answer is sent once more: a browser drops what is under
+ * way when its machine changes networks.
  */
 export async function send(method, path, { form = null, quiet = false, ...options } = {}) {
   const once = () => service.send(method, path, { ...options, body: form });
