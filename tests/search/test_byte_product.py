@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +54,17 @@ def test_the_histogram_of_an_image_does_not_depend_on_the_product_and_hardly_on_
     np.testing.assert_allclose(floats, vocabulary.histogram(descriptors, words, 3, 0.05), atol=2e-4)
 
 
-def test_the_faster_one_is_taken() -> None:
-    assert make_product(Settings(encoder="compact")) is not None
-    assert make_product(Settings(encoder="color")) is float_product
+def test_the_faster_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
+        time.sleep(0.02)
+        return float_product(left, right)
+
+    monkeypatch.setattr(byte_product, "byte_product", lambda: slow)
+    assert make_product(Settings(encoder="compact")) is float_product
+    monkeypatch.setattr(byte_product, "byte_product", lambda: OF_BYTES)
+    monkeypatch.setattr(byte_product, "float_product", slow)
+    assert make_product(Settings(encoder="compact")) is OF_BYTES
+    assert make_product(Settings(encoder="color")) is slow
 
 
 def test_without_a_product_of_bytes_floats_do(monkeypatch: pytest.MonkeyPatch) -> None:

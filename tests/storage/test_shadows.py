@@ -263,11 +263,19 @@ def test_a_snapshot_meanwhile_is_of_the_map_without_its_shadow(store: SqlStore) 
 def test_a_changed_precision_is_that_of_the_shadow_too(store: SqlStore) -> None:
     """It changes no score that the shadow is compared by, and the switch must not undo it."""
     made_ready(store)
-    store.maps.change(
-        "campus", MapChanges(ranking=lambda recipe: recipe.ranking.model_copy(update={"precision": 0.99}))
-    )
+    present = store.maps.get("campus").ranking
+    for changes in ({"precision": 0.99, "candidates": 3}, {"candidates": present.candidates}):
+        store.maps.change("campus", MapChanges(ranking=lambda of, to=changes: of.ranking.model_copy(update=to)))  # type: ignore[misc]
     store.jobs.switch_to_shadow("campus", NOW)
     assert store.maps.get("campus").ranking == PAPER.ranking.model_copy(update={"precision": 0.99})
+
+
+def test_a_ranking_that_the_map_has_already_changes_no_shadow(store: SqlStore) -> None:
+    made_ready(store)
+    present = store.maps.get("campus").ranking
+    assert present != PAPER.ranking
+    store.maps.change("campus", MapChanges(ranking=lambda _: present))
+    assert store.jobs.shadow("campus").recipe == PAPER
 
 
 def test_a_changed_ranking_is_that_of_the_map_alone(store: SqlStore) -> None:

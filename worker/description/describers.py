@@ -2,7 +2,8 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from schemas.errors import NotFound, SetupError
 from schemas.recipe import DescriptionRecipe
@@ -15,6 +16,8 @@ from worker.method.impostors import Impostors
 
 KEPT = 32
 """Describers kept; with more recipes in use the least recently used are built again, in milliseconds."""
+
+Made = TypeVar("Made")
 
 
 class Describers:
@@ -53,10 +56,26 @@ class Describers:
         SetupError
             The recipe was made with another encoder or other weights, or its vocabulary is gone.
         """
+        return self._kept(self._made, recipe.id, lambda: self._describer(recipe))
+
+    def impostors(self, recipe: DescriptionRecipe) -> Impostors | None:
+        """Pictures of no place that queries of a map with a recipe are compared with; None where there are none."""
+        return self._kept(self._impostors, recipe.id, lambda: self._shipped_for(recipe))
+
+    def _kept(self, kept: OrderedDict[str, Made], key: str, make: Callable[[], Made]) -> Made:
+        """What is kept by a key, or made and kept now."""
         with self._lock:
-            if recipe.id in self._made:
-                self._made.move_to_end(recipe.id)
-                return self._made[recipe.id]
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key]
+        made = make()
+        with self._lock:
+            kept[key] = made
+            while len(kept) > KEPT:
+                kept.popitem(last=False)
+        return made
+
+    def _describer(self, recipe: DescriptionRecipe) -> Describer:
         if (recipe.encoder, recipe.weights) != (self._encoder.name, self._encoder.digest):
             raise SetupError(
                 f"this recipe needs the encoder {recipe.encoder} with weights {recipe.weights[:12]}; running is "
@@ -64,28 +83,13 @@ class Describers:
             )
         vocabulary = self._vocabulary(recipe.vocabulary)
         vocabulary.check(recipe.parameters, self._encoder.layers)
-        describer = Describer(self._encoder, recipe, vocabulary, self._product)
-        with self._lock:
-            self._made[recipe.id] = describer
-            while len(self._made) > KEPT:
-                self._made.popitem(last=False)
-        return describer
+        return Describer(self._encoder, recipe, vocabulary, self._product)
 
-    def impostors(self, recipe: DescriptionRecipe) -> Impostors | None:
-        """Pictures of no place that queries of a map with a recipe are compared with; None where there are none."""
-        with self._lock:
-            if recipe.id in self._impostors:
-                self._impostors.move_to_end(recipe.id)
-                return self._impostors[recipe.id]
+    def _shipped_for(self, recipe: DescriptionRecipe) -> Impostors | None:
         try:
-            found = shipped_for(recipe, self._vocabulary)
+            return shipped_for(recipe, self._vocabulary)
         except SetupError:  # of another encoder than the running one, by a vocabulary that ships with that
-            found = None
-        with self._lock:
-            self._impostors[recipe.id] = found
-            while len(self._impostors) > KEPT:
-                self._impostors.popitem(last=False)
-        return found
+            return None
 
     def _vocabulary(self, digest: str) -> Vocabulary:
         if digest in self._general:

@@ -45,16 +45,20 @@ def change(connection: sa.Connection, name: str, changes: MapChanges) -> int | N
 
 def _set_ranking(connection: sa.Connection, row: sa.Row[Any], change_of: Callable[[MapRecipe], RankingConfig]) -> None:
     recipe = map_record(connection, row).recipe
-    changed = recipe.model_copy(update={"ranking": change_of(recipe)})
-    ranking = changed.ranking.model_dump_json()
-    if ranking != row.ranking:
-        switching.set_ranking(connection, row, ranking)
-    # A recipe switch must not undo the change. Only a shadow keeps the scores that it is compared by.
-    if row.next_ranking is not None and (row.shadow is None or switching.scores_alike(recipe, changed)):
-        following = MapRecipe(
-            description=find_recipe(connection, row.next_recipe), ranking=ranking_of(row.next_ranking)
-        )
-        _update(connection, row, next_ranking=_changed_too(row, following, change_of).model_dump_json())
+    ranking = change_of(recipe)
+    if ranking != recipe.ranking:
+        switching.set_ranking(connection, row, ranking.model_dump_json())
+    if row.next_ranking is None:
+        return
+    # A recipe switch must not undo the change; but a shadow keeps the scores that it is compared by.
+    following = MapRecipe(description=find_recipe(connection, row.next_recipe), ranking=ranking_of(row.next_ranking))
+    if row.shadow is None:
+        after = _changed_too(row, following, change_of)
+    elif ranking.precision != recipe.ranking.precision:
+        after = following.ranking.model_copy(update={"precision": ranking.precision})
+    else:
+        return
+    _update(connection, row, next_ranking=after.model_dump_json())
 
 
 def _changed_too(
