@@ -3,9 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from schemas.description import DETAIL, SEMANTIC, Description
-from tests.method.views_in_a_dictionary import CONFIG, FOUND, RECIPE, described, enrolled
+from schemas.recipe import RankingConfig
+from tests.method.views_in_a_dictionary import CONFIG, FOUND, RECIPE, Dictionary, changed, described, enrolled
+from worker.method import dense_cells
 from worker.method.byte_vectors import float_product
 from worker.method.cascade import rank
 from worker.method.evidence import Ranking
@@ -26,8 +29,8 @@ LIKE_IT = of([described(seed, noise) for seed, noise in ((1, 3.0), (2, 0.2), (3,
 UNLIKE_IT = of([described(seed, 9.0) for seed in range(20, 30)])
 
 
-def ranked(impostors: Impostors | None) -> Ranking:
-    return rank(QUERY, FOUND, RECIPE, CONFIG, enrolled(), top=6, impostors=impostors)
+def ranked(impostors: Impostors | None, config: RankingConfig = CONFIG, views: Dictionary | None = None) -> Ranking:
+    return rank(QUERY, FOUND, RECIPE, config, views or enrolled(), top=6, impostors=impostors)
 
 
 def test_they_change_neither_scores_nor_order() -> None:
@@ -59,6 +62,31 @@ def test_they_get_what_views_get_but_for_graphs_and_keypoints() -> None:
     most = sum(weight for name, weight in CONFIG.weights.terms().items() if name in counted) / total
     assert 0 < first.score < same.score <= most + 1e-6
     assert same.score > 0.99 * most
+
+
+@pytest.mark.parametrize("in_full", [0, 3])
+def test_they_are_read_by_detail_alone_only_where_views_are(in_full: int) -> None:
+    def score(impostors: Impostors, detail_only: int) -> float:
+        config = changed(full_resolution_top_k=in_full, detail_only_top_k=detail_only)
+        found = ranked(impostors, config, foggy).impostors
+        assert found is not None
+        return found.score
+
+    foggy = Dictionary({seq: described(seq, 1.2, 3.0) for seq in range(10, 16)})
+    looks_like_it = described(11, 1.2, 0.1)  # by its detail; its meaning is as noisy as theirs
+    weights = CONFIG.weights.terms()
+    histograms = weights["histogram.semantic"] + weights["histogram.detail"]
+    grid = QUERY.appearance.coarse, looks_like_it.appearance.coarse[None]
+    expected = histograms + weights["dense"] * float(dense_cells.compare(*grid).scores[0])
+    if in_full:
+        distinct = dense_cells.burstiness_weight(QUERY.cells)
+        full = dense_cells.compare(QUERY.cells, looks_like_it.cells[None], distinct=distinct)
+        expected += weights["dense_full"] * float(full.scores[0])
+
+    together, alone = (score(of([looks_like_it]), count) for count in (0, 3))
+
+    assert together == pytest.approx(expected / sum(weights.values()), abs=1e-5)
+    assert alone > together + 0.01
 
 
 def test_those_less_like_the_query_than_another_place_say_nothing() -> None:

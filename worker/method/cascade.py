@@ -266,14 +266,14 @@ def compare_impostors(
     product: Product,
     rival: float = 0.0,
 ) -> ImpostorEvidence | None:
-    """Stages 1 to 3 for pictures of no place, by the scale and the weights that the candidates in `evidence` got.
+    """Stages 1 to 3 for pictures of no place, by the scale, the weights and the channels that candidates got.
 
     None where none is as much like the query at half size as the best view of another place, whose `dense` is `rival`:
     then they say no more than that view.
     """
     config = evidence.config
-    most = min(config.full_resolution_top_k, COMPARED)
-    few = config.model_copy(update={"full_resolution_top_k": most, "detail_only_top_k": most})
+    # `detail_only_top_k` stays: by the channel detail alone they are read where views are, and nowhere else.
+    few = config.model_copy(update={"full_resolution_top_k": min(config.full_resolution_top_k, COMPARED)})
     usual = {name: float(found[evidence.rows].mean()) for name, found in evidence.candidates.distances.items()}
     near = impostors.near(query.vectors, query.appearance.coarse, product, usual)
     theirs = compare_histograms(near, recipe, few, impostors, len(near.seqs), {})
