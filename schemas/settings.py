@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     head_s: float = Field(10, gt=0, description="Seconds for the headers of a request to arrive.")
     connections: int = Field(512, ge=1, description="Connections that are served at once; more are refused with 503.")
     grace_s: float = Field(20, gt=0, description="Seconds that requests under way may take when `serve` is stopped.")
-    max_megapixels: float = Field(50, gt=0, description="Largest image, in 10^6 pixels.")
+    max_megapixels: float = Field(50, gt=0, description="Largest image, in 10^6 pixels; a side has at most 65,500.")
     decoders: int = Field(2, ge=0, le=64, description="Processes that decode images; 0 decodes inside the service.")
     decode_s: float = Field(20, ge=1, description="Seconds for decoding one image, and for it to wait for a decoder.")
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")

@@ -89,7 +89,11 @@ KINDS: Mapping[str, Kind] = {
     "undecodable-picture": Kind(
         422, "The image is truncated or corrupt", "Send the whole file; open it elsewhere to see whether it is sound."
     ),
-    "picture-too-large": Kind(422, "The image has too many pixels", "Scale it down; 1280 pixels a side are plenty."),
+    "picture-too-large": Kind(
+        422,
+        "The image has too many pixels",
+        "Scale it down, 1280 pixels a side are plenty; cut one that is more than 50 times as long as wide.",
+    ),
     "picture-too-small": Kind(422, "The image has too few pixels", "Send at least 32 x 32 pixels."),
     "poor-picture": Kind(
         422, "The image is too poor to enrol", "Take the photo again, or enrol it as it is without `refuse_poor`."

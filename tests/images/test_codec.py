@@ -315,6 +315,35 @@ def test_a_jpeg_bomb_is_refused_from_its_header() -> None:
     assert refusal(bytes(data), Limits()).code == "picture-too-large"
 
 
+def of_size(width: int, height: int) -> bytes:
+    """A PNG whose header says so."""
+    head = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return PNG_MAGIC + head + png_chunk(b"IDAT", zlib.compress(bytes(1000))) + png_chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "told"),
+    [
+        (400_000, 124, "a side of at most 65,500"),
+        (124, 400_000, "a side of at most 65,500"),
+        (65_501, 20_000, "a side of at most 65,500"),
+        (65_500, 760, "at most 50 times as long as the other"),
+        (32, 1601, "cut it into several images"),
+    ],
+)
+def test_a_thread_of_an_image_is_refused_from_its_header(width: int, height: int, told: str) -> None:
+    error = refusal(of_size(width, height), Limits(max_pixels=2_000_000_000))
+
+    assert error.code == "picture-too-large"
+    assert f"{width} x {height} pixels" in error.detail
+    assert told in error.detail
+
+
+@pytest.mark.parametrize(("width", "height"), [(32, 1600), (1600, 32), (12_000, 800)])
+def test_a_strip_is_taken(width: int, height: int) -> None:
+    assert decode(encoded(drawn(width, height), "png"), Limits()).width == width
+
+
 def test_more_bytes_than_allowed_are_refused() -> None:
     with pytest.raises(BodyTooLarge):
         decode(encoded(drawn(320, 240), "bmp"), Limits(max_bytes=1000))

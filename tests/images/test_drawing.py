@@ -1,6 +1,7 @@
 """Drawings are right to the pixel where programs read them, and show what they should where people look."""
 
 import io
+import time
 
 import cv2
 import numpy as np
@@ -151,3 +152,34 @@ def test_a_graph_leaves_out_what_moves_and_specks() -> None:
     key = image[480:]
     assert (key == colour("sky")).all(axis=2).any()
     assert not (key == colour("car")).all(axis=2).any()
+
+
+@pytest.mark.parametrize("size", [(400, 20_000), (20_000, 400), (1600, 32), (32, 1600)])
+def test_what_is_drawn_over_the_narrowest_images_fits_them(size: tuple[int, int]) -> None:
+    pixels = np.full((*size, 3), 120, np.uint8)
+    labels = np.arange(12).reshape(3, 4) % 3
+    wide, high = size[1] / max(size), size[0] / max(size)
+    many = graph(*((number % 3, wide * number / 12, high * number / 12, 1 / 12) for number in range(12)))
+    caption = "a caption that is longer than the narrowest of images, and is wrapped or shortened"
+    begin = time.perf_counter()
+
+    with_keys = (
+        drawing.overlay_png(pixels, labels, LABELS, np.ones((3, 4), bool), legend=True, caption=caption),
+        drawing.graph_png(pixels, many, LABELS, 0.5, legend=True, caption=caption),
+    )
+
+    assert time.perf_counter() - begin < 60  # was minutes for fonts as large as the image
+    for png in with_keys:
+        image = decoded(png)
+        assert image.shape[1] == size[1]
+        assert size[0] < image.shape[0] <= size[0] + max(200, size[1])  # the key is no larger than the image
+
+
+@pytest.mark.parametrize("size", [(480, 640), (800, 3200), (3000, 4000)])
+def test_sizes_of_what_is_drawn_follow_the_longer_side(size: tuple[int, int]) -> None:
+    pixels, labels = np.full((*size, 3), 120, np.uint8), np.zeros((1, 1), np.int16)
+
+    keyed = decoded(drawing.overlay_png(pixels, labels, LABELS, np.ones((1, 1), bool), legend=True))
+
+    line = round(20 * max(size) / 640)
+    assert keyed.shape[0] == size[0] + line + line // 3

@@ -33,6 +33,12 @@ PilImage.MAX_IMAGE_PIXELS = None
 SHORTEST_SIDE = 32
 """Smallest side accepted, in pixels."""
 
+LONGEST_SIDE = 65_500
+"""Longest side accepted, in pixels: that of a JPEG, in which images are given again."""
+
+NARROWEST = 50
+"""How many times as long as wide an image may be. Panoramas and strips are below 20; nothing is found in a thread."""
+
 _ORIENTATION = 0x0112  # EXIF tag
 _TILE_SIDES = (322, 323)  # tags of a TIFF: width and length of a tile
 _TURNED = range(5, 9)  # values that swap width and height
@@ -205,10 +211,21 @@ def _check_size(width: int, height: int, limits: Limits) -> None:
             f"the image is {width} x {height} = {width * height / MEGA:.1f} megapixels; "
             f"at most {limits.max_pixels / MEGA:g} are taken",
         )
+    if max(width, height) > LONGEST_SIDE:
+        raise BadImage(
+            "picture-too-large",
+            f"the image is {width} x {height} pixels; a side of at most {LONGEST_SIDE:,} is taken",
+        )
     if min(width, height) < SHORTEST_SIDE:
         raise BadImage(
             "picture-too-small",
             f"the image is {width} x {height} pixels; at least {SHORTEST_SIDE} x {SHORTEST_SIDE} are needed",
+        )
+    if max(width, height) > NARROWEST * min(width, height):
+        raise BadImage(
+            "picture-too-large",
+            f"the image is {width} x {height} pixels; "
+            f"one side may be at most {NARROWEST} times as long as the other: cut it into several images",
         )
 
 

@@ -26,6 +26,12 @@ MOVING: Colour = (190, 190, 190)
 SMALLEST_SHARE = 0.01
 """Regions of a smaller share of the image are left out: they are specks, and would hide the photo."""
 
+UNIT = 640
+"""Longer side, in pixels, of the image for which sizes of fonts, lines and discs are given."""
+
+STRIP = 4
+"""Of an image that is more than so many times as long as wide, the shorter side says how large these are."""
+
 ROUNDING = 1e-6
 """Shares are float32: one that was rounded just below the smallest is drawn."""
 
@@ -115,15 +121,15 @@ def graph_png(
         Written below the key.
     """
     image = toned_down(pixels)
-    longer = max(image.shape[:2])
-    unit = _unit(image)
+    longer, size = max(image.shape[:2]), _size(image)
+    unit = size / UNIT
     drawn = [i for i in np.argsort(-graph.shares, kind="stable") if is_drawn(graph, int(i), names, dynamic)]
     at = {i: _pixel(graph.positions[i], longer) for i in drawn}
     for number, i in enumerate(drawn):
         for j in drawn[:number]:
             if np.linalg.norm(graph.positions[i] - graph.positions[j]) <= tau:
                 cv2.line(image, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
-    radii = {i: max(3 * unit, float(np.sqrt(graph.shares[i])) * 0.11 * longer) for i in drawn}
+    radii = {i: max(3 * unit, float(np.sqrt(graph.shares[i])) * 0.11 * size) for i in drawn}
     for i in drawn:
         cv2.circle(image, at[i], round(radii[i]), colour(names[graph.labels[i]]), -1, cv2.LINE_AA)
         cv2.circle(image, at[i], round(radii[i]), PAPER, max(1, round(unit)), cv2.LINE_AA)
@@ -178,9 +184,10 @@ def _stretched(cells: npt.NDArray[Any], size: tuple[int, int]) -> Pixels:
     return np.asarray(cv2.resize(cells.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
-def _unit(image: Pixels) -> float:
-    """Scale of drawings: 1 in an image whose longer side is 640 pixels."""
-    return int(max(image.shape[:2])) / 640
+def _size(image: Pixels) -> int:
+    """Pixels by which drawings are scaled: the longer side, unless what is drawn would not fit into the shorter one."""
+    shorter, longer = sorted(image.shape[:2])
+    return int(min(longer, STRIP * shorter))
 
 
 def _pixel(position: Sequence[float] | npt.NDArray[Any], longer: int) -> tuple[int, int]:
@@ -207,7 +214,7 @@ def _frequent(labels: Integers, names: Sequence[str], static: Booleans) -> list[
 
 def _with_key(image: Pixels, entries: Sequence[tuple[str, Colour]], caption: str) -> Pixels:
     """The image with a key below, and a caption below that."""
-    unit = _unit(image)
+    unit = _size(image) / UNIT
     line, box = max(14, round(20 * unit)), max(8, round(12 * unit))
     size = max(10, round(14 * unit))
     width = image.shape[1]
