@@ -1,7 +1,9 @@
 """Covered parts of an image: nothing of them is left, and the rest is as it was."""
 
 import io
+import time
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -74,6 +76,40 @@ def test_a_cell_covers_its_pixels_and_a_margin() -> None:
     assert not covered[:, 360:].any()
     assert mask_of(np.ones((6, 8), np.bool_), 33, 35).all()
     assert not mask_of(np.zeros((6, 8), np.bool_), 33, 35).any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 999),
+    st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    st.tuples(st.integers(1, 700), st.integers(1, 700)),
+    st.sampled_from([0.0, 0.012, 0.1, 0.6]),
+    st.floats(0, 0.2),
+)
+def test_the_margin_is_that_of_a_dilation(
+    seed: int, grid: tuple[int, int], size: tuple[int, int], margin: float, share: float
+) -> None:
+    cells = np.random.default_rng(seed).random(grid) < share
+    width, height = size
+    plain = cv2.resize(cells.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.25
+    reach = max(1, round(margin * max(size)))
+    dilated = cv2.dilate(plain.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+
+    assert np.array_equal(mask_of(cells, width, height, margin), dilated > 0)
+
+
+def test_a_wide_margin_takes_no_longer_than_a_narrow_one() -> None:
+    cells = np.zeros((2, 120), np.bool_)
+    cells[0, 60] = True
+
+    def seconds(margin: float) -> float:
+        begin = time.perf_counter()
+        mask_of(cells, 40_000, 600, margin)
+        return time.perf_counter() - begin
+
+    seconds(0.012)
+    narrow = min(seconds(1e-6) for _ in range(3))
+    assert min(seconds(0.02) for _ in range(3)) < 4 * narrow + 0.2  # a dilation took a hundred times as long
 
 
 def test_what_is_stored_has_no_metadata_and_fits_where_it_can() -> None:
