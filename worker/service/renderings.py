@@ -1,12 +1,13 @@
 """Images of views: as enrolled, as thumbnail, segmentation, context graph, or explanation of a match."""
 
+import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
-from schemas.description import PixelField
+from schemas.description import ContextGraph, PixelField
 from schemas.errors import BadImage, ImageNotKept, NotFound
 from schemas.image import Image
 from schemas.records import MapRecord, ViewRecord
@@ -22,9 +23,7 @@ from worker.service.ports import Maps, Views
 from worker.service.results import ScoredView
 from worker.service.sheets import sheet
 
-Draw = Callable[[Image, PixelField, Describer, MapRecord], bytes]
-"""From an image, its pixel field, a describer and the map whose recipe that is, to PNG bytes."""
-
+T = TypeVar("T")
 Network = Literal["encoder", "segmenter"]
 
 SEGMENTED = "Labels of the segmentation network. The method, and graph.png, use the encoder's coarser cells."
@@ -33,6 +32,9 @@ GRAPHED = "Regions of the encoder's cells, as the method compares them. segmenta
 
 class RenderingService:
     """The use-cases that return images.
+
+    What is drawn over a photo is found in the encoder's thread and drawn in the caller's, so that no query waits for a
+    drawing; one at a time, since large photos take much memory.
 
     Parameters
     ----------
@@ -63,6 +65,7 @@ class RenderingService:
         self._maps, self._views, self._descriptions = maps, views, descriptions
         self._describers, self._scheduler = describers, scheduler
         self._decode, self._thumbnail, self._explanations = decode, thumbnail, explanations
+        self._drawing = threading.Lock()
 
     def image(self, view_id: str) -> tuple[bytes, str]:
         """The enrolled image without metadata, and its media type; raises NotFound.
@@ -99,7 +102,9 @@ class RenderingService:
         owner, image = self._source(view_id)
         if overlay:
             return self.draw_overlay(image, owner, legend=legend)
-        return self._submit(image, owner, _segmentation, segment=True)
+        labels = self._found(image, owner, Describer.segment, segment=True).labels
+        with self._drawing:
+            return drawing.segmentation_png(labels, (image.width, image.height), owner.description.labels)
 
     def graph(self, view_id: str, *, legend: bool = False) -> bytes:
         """The context graph of a view, drawn over the photo, with `legend` above a key; raises NotFound, Busy."""
@@ -109,19 +114,16 @@ class RenderingService:
     def draw_overlay(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its labels by a map's recipe blended over it, dynamic cells grey, as PNG; raises Busy."""
         caption = SEGMENTED if self.segmented_by == "segmenter" else ""
-
-        def draw(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
-            found, labels = describer.segment(field), owner.description.labels
+        found = self._found(image, owner, Describer.segment, segment=True)
+        labels = owner.description.labels
+        with self._drawing:
             return drawing.overlay_png(image.pixels, found.labels, labels, found.static, legend=legend, caption=caption)
-
-        return self._submit(image, owner, draw, segment=True)
 
     def draw_graph(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its context graph by a map's recipe drawn over it, as PNG; raises Busy."""
         caption = GRAPHED if self.segmented_by == "segmenter" else ""
-
-        def draw(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
-            recipe, graph = owner.description, describer.graph(field, describer.segment(field))
+        graph, recipe = self._found(image, owner, _graph, segment=False), owner.description
+        with self._drawing:
             return drawing.graph_png(
                 image.pixels,
                 graph,
@@ -131,8 +133,6 @@ class RenderingService:
                 legend=legend,
                 caption=caption,
             )
-
-        return self._submit(image, owner, draw, segment=False)
 
     @property
     def segmented_by(self) -> Network:
@@ -186,11 +186,12 @@ class RenderingService:
         owner = self._maps.get(self._views.get(view_id).map)
         return owner, self._decode(self._views.image(view_id))
 
-    def _submit(self, image: Image, owner: MapRecord, draw: Draw, *, segment: bool) -> bytes:
+    def _found(self, image: Image, owner: MapRecord, find: Callable[[Describer, PixelField], T], *, segment: bool) -> T:
+        """What a map's describer finds in the pixel field of an image; raises Busy."""
         describer = self._describers.of(owner.description)
 
-        def finish(image: Image, field: PixelField) -> bytes:
-            return draw(image, field, describer, owner)
+        def finish(_: Image, field: PixelField) -> T:
+            return find(describer, field)
 
         return self._scheduler.submit(image, finish, urgent=True, segment=segment).result().value
 
@@ -201,6 +202,5 @@ def refuse_forgotten(view: ViewRecord, owner: MapRecord) -> None:
         raise ImageNotKept(view.id)
 
 
-def _segmentation(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
-    segmentation = describer.segment(field)
-    return drawing.segmentation_png(segmentation.labels, (image.width, image.height), owner.description.labels)
+def _graph(describer: Describer, field: PixelField) -> ContextGraph:
+    return describer.graph(field, describer.segment(field))
