@@ -124,3 +124,29 @@ def test_what_is_cut_is_stripped_or_refused(form: str) -> None:
             strip(data[:cut], form)
         except (ValueError, OSError):
             continue
+
+
+def tiff_of_strips(rows: int, size: int) -> bytes:
+    """A TIFF with a strip for each row, of which each says that it has `size` bytes, and a secret."""
+    pixels = drawn(32, rows).tobytes()
+    begins = struct.pack(f"<{rows}I", *range(8, 8 + len(pixels), 96))
+    sizes, depths = struct.pack(f"<{rows}I", *[size] * rows), struct.pack("<4H", 8, 8, 8, 0)
+    at = 8 + len(pixels)
+    where = at, at + len(begins), at + len(begins) + len(sizes)
+    fields = [(256, 3, 1, 32), (257, 3, 1, rows), (258, 3, 3, where[2]), (259, 3, 1, 1), (262, 3, 1, 2)]
+    fields += [(273, 4, rows, where[0]), (277, 3, 1, 3), (278, 3, 1, 1), (279, 4, rows, where[1])]
+    fields += [(305, 2, 4, 0x61616100)]
+    directory = struct.pack("<H", len(fields)) + b"".join(struct.pack("<HHII", *field) for field in fields) + bytes(4)
+    head = b"II*\x00" + struct.pack("<I", where[2] + len(depths))
+    return b"".join((head, pixels, begins, sizes, depths, directory, bytes(max(0, size - 96))))
+
+
+def test_strips_of_a_tiff_that_lie_over_one_another_are_not_written_out() -> None:
+    sound, crafted = tiff_of_strips(200, 96), tiff_of_strips(200, 1_000_000)  # 200 MB, if they were
+
+    for data in (sound, crafted):
+        assert np.array_equal(decode(data, LIMITS).pixels, drawn(32, 200))
+
+    assert len(strip(sound, "tiff")) <= len(sound)
+    with pytest.raises(ValueError, match="over one another"):
+        strip(crafted, "tiff")

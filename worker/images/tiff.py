@@ -11,6 +11,7 @@ _STRIPS, _TILES = (273, 279), (324, 325)  # offsets, byte counts
 _KEPT = frozenset(
     (254, 256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 281, 282, 283, 284, 292, 293, 296, 301, 317, 318, 319)
 ) | frozenset((320, 322, 323, 324, 325, 332, 334, 336, 338, 339, 340, 341, 347, 529, 530, 531, 532, 34675))
+_OVER = "parts of this TIFF lie over one another"
 
 
 def without_metadata(data: bytes) -> bytes:
@@ -19,7 +20,8 @@ def without_metadata(data: bytes) -> bytes:
     Raises
     ------
     ValueError
-        A field or a strip lies outside the file, or the compression keeps its data elsewhere (old JPEG).
+        A field or a strip lies outside the file, they lie over one another, or the compression keeps its data elsewhere
+        (old JPEG).
     struct.error
         The file is too short.
     """
@@ -29,6 +31,7 @@ def without_metadata(data: bytes) -> bytes:
     (following,) = struct.unpack_from(order + "I", data, at + 2 + 12 * count)
     fields: dict[int, tuple[int, int, bytes]] = {}
     last = at + 6 + 12 * count
+    left = len(data)  # bytes that fields and strips may still have; lying over one another they could have any number
     lost = following != 0
     for number in range(count):
         tag, kind, length = struct.unpack_from(order + "HHI", data, at + 2 + 12 * number)
@@ -38,7 +41,9 @@ def without_metadata(data: bytes) -> bytes:
         begin, size = at + 10 + 12 * number, _SIZES[kind] * length
         if size > 4:
             (begin,) = struct.unpack_from(order + "I", data, begin)
-        last = max(last, begin + size)
+        last, left = max(last, begin + size), left - size
+        if left < 0:
+            raise ValueError(_OVER)
         fields[tag] = (kind, length, _slice(data, begin, size))
     offsets, lengths = _TILES if _TILES[0] in fields else _STRIPS
     if offsets not in fields or lengths not in fields:
@@ -47,6 +52,8 @@ def without_metadata(data: bytes) -> bytes:
         raise ValueError("this TIFF has JPEG data of the old kind")
     pieces = list(zip(_numbers(order, fields[offsets]), _numbers(order, fields[lengths]), strict=True))
     last = max([last, *(begin + size for begin, size in pieces)])
+    if sum(size for _, size in pieces) > left:
+        raise ValueError(_OVER)
     if not lost and len(data) <= last + 1:
         return data
     return _written(order, fields, (offsets, [_slice(data, begin, size) for begin, size in pieces]))
