@@ -344,6 +344,22 @@ def test_a_strip_is_taken(width: int, height: int) -> None:
     assert decode(encoded(drawn(width, height), "png"), Limits()).width == width
 
 
+@pytest.mark.parametrize("form", ["png", "jpeg"])
+def test_an_image_of_very_many_parts_is_refused_at_once(form: str) -> None:
+    """Each part costs a step of Python in the decoder, and once more whenever the image is given back."""
+    data = encoded(drawn(64, 48), form)
+    parts = png_chunk(b"tEXt", b"a\x00b") * 49_000 if form == "png" else b"\xff\xfe\x00\x02" * 9_000
+    after = 33 if form == "png" else 2
+    assert decode(data[:after] + parts + data[after:], LIMITS).width == 64
+
+    begin = time.perf_counter()
+    error = refusal(data[:after] + parts * 30 + data[after:], Limits())
+
+    assert error.code == "undecodable-picture"
+    assert "it has more than" in error.detail
+    assert time.perf_counter() - begin < 3
+
+
 def test_more_bytes_than_allowed_are_refused() -> None:
     with pytest.raises(BodyTooLarge):
         decode(encoded(drawn(320, 240), "bmp"), Limits(max_bytes=1000))

@@ -1,6 +1,6 @@
 """Bytes to images and back, within limits; the only module that decodes bytes from clients.
 
-The order matters: type by magic bytes, size from the header, completeness by structure, and only then the decoder.
+The order matters: type by magic bytes, completeness by structure, size from the header, and only then the decoder.
 RGB and grey JPEG are decoded by simplejpeg, which reports damage that others pass over; such PNG by OpenCV, which is
 faster; all others (alpha, palette, CMYK, other depths) by Pillow.
 """
@@ -173,6 +173,7 @@ class _Header:
         """Check everything that needs no decoding; raises as `decode`."""
         check_length(data, limits)
         kind = image_type(data)
+        ended = _is_whole(kind, data)
         try:
             with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
                 stored = pil_image.size
@@ -192,8 +193,7 @@ class _Header:
             raise _undecodable(kind, f"it says that its tiles have {tile[0]} x {tile[1]} pixels")
         if kind == "png" and png.is_animated(data):
             raise BadImage("not-a-picture", "this is an animated PNG; send a still image")
-        whole = _WHOLE.get(kind)
-        if whole is not None and not whole(data):
+        if not ended:
             raise _undecodable(kind, "the file ends too early")
         return cls(kind, stored, orientation, plain)
 
@@ -358,6 +358,14 @@ def _jpeg_is_whole(data: bytes) -> bool:
 def _webp_is_whole(data: bytes) -> bool:
     """Whether the file has the length in its RIFF header."""
     return len(data) >= 8 + int.from_bytes(data[4:8], "little")
+
+
+def _is_whole(kind: str, data: bytes) -> bool:
+    """Whether a file does not end too early; raises BadImage for one of too many parts."""
+    try:
+        return kind not in _WHOLE or _WHOLE[kind](data)
+    except ValueError as error:
+        raise _undecodable(kind, str(error)) from error
 
 
 _WHOLE = {"jpeg": _jpeg_is_whole, "png": png.is_whole, "webp": _webp_is_whole}

@@ -10,6 +10,9 @@ EOI = b"\xff\xd9"
 MOST_SCANS = 100
 """Scans accepted in one image. Encoders write about ten; each costs a pass over all of its blocks."""
 
+MOST_SEGMENTS = 10_000
+"""Segments accepted in one image: cameras write tens, with gigantic metadata hundreds, and the least has four bytes."""
+
 # A marker other than a stuffed zero, a restart or a fill byte ends entropy-coded data.
 _MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 # Segments before the end: tables, frames, scans, application data, comments. Any other marker is damage, at which
@@ -61,6 +64,11 @@ class Structure:
         """The structure of an image; None when segments do not follow one another, or end amid the tables.
 
         Searching for the end's marker alone is not enough: the thumbnail in the EXIF block has one too.
+
+        Raises
+        ------
+        ValueError
+            There are more than `MOST_SEGMENTS`.
         """
         segments: list[Segment] = []
         match = _MARKER.search(data, 2)
@@ -71,6 +79,8 @@ class Structure:
             end = match.end() + int.from_bytes(data[match.end() : content], "big")
             if marker not in _SEGMENTS or not content <= end <= len(data):
                 return None
+            if len(segments) == MOST_SEGMENTS:
+                raise ValueError(f"it has more than {MOST_SEGMENTS:,} segments")
             match = _MARKER.search(data, end)
             segments.append(Segment(marker, data[content:end], start, match.start() if match else len(data)))
         if not segments or segments[-1].marker != START_OF_SCAN:

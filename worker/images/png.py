@@ -6,6 +6,9 @@ from collections.abc import Iterator
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
+MOST_CHUNKS = 50_000
+"""Chunks accepted in one image: encoders write pixels in pieces of 8 kB and more, and the least chunk has 12 bytes."""
+
 
 def chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Type and content of a PNG's chunks, in order, up to IEND or the end of an incomplete file."""
@@ -29,8 +32,13 @@ def depth(data: bytes) -> int:
 
 
 def is_whole(data: bytes) -> bool:
-    """Whether the chunks are complete up to IEND."""
-    return any(kind == b"IEND" for kind, _ in chunks(data))
+    """Whether the chunks are complete up to IEND; raises ValueError for more than `MOST_CHUNKS`."""
+    for number, (kind, _) in enumerate(chunks(data)):
+        if kind == b"IEND":
+            return True
+        if number == MOST_CHUNKS:
+            raise ValueError(f"it has more than {MOST_CHUNKS:,} chunks")
+    return False
 
 
 def is_animated(data: bytes) -> bool:
