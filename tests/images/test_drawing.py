@@ -2,6 +2,7 @@
 
 import io
 import time
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -183,3 +184,23 @@ def test_sizes_of_what_is_drawn_follow_the_longer_side(size: tuple[int, int]) ->
 
     line = round(20 * max(size) / 640)
     assert keyed.shape[0] == size[0] + line + line // 3
+
+
+def test_rows_are_blended_as_in_one_piece_and_take_less_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    chance = np.random.default_rng(5)
+    pixels = chance.integers(0, 256, (1500, 2000, 3), np.uint8)
+    labels, static = chance.integers(0, 3, (37, 50)), chance.random((37, 50)) < 0.7
+    nodes = graph((0, 0.2, 0.3, 0.5), (1, 0.4, 0.3, 0.5))
+
+    def both() -> tuple[bytes, bytes]:
+        overlay = drawing.overlay_png(pixels, labels, LABELS, static, legend=True)
+        return overlay, drawing.graph_png(pixels, nodes, LABELS, 0.3)
+
+    tracemalloc.start()
+    in_parts = both()
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    monkeypatch.setattr(drawing, "ROWS_AT_ONCE", 10_000)
+
+    assert both() == in_parts
+    assert most < 8 * pixels.nbytes  # as floats the photo alone takes four times itself, and there were several

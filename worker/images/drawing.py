@@ -32,6 +32,9 @@ UNIT = 640
 STRIP = 4
 """Of an image that is more than so many times as long as wide, the shorter side says how large these are."""
 
+ROWS_AT_ONCE = 64
+"""Of a photo that are blended together: as floats, one of 50 megapixels would take 600 MB."""
+
 ROUNDING = 1e-6
 """Shares are float32: one that was rounded just below the smallest is drawn."""
 
@@ -83,14 +86,25 @@ def overlay_png(
     wide = _stretched(labels, (width, height))
     still = _stretched(static.astype(np.uint8), (width, height)) > 0
     palette = np.array([colour(name) for name in names], np.uint8)
-    blended = (pixels * np.float32(0.55) + palette[wide] * np.float32(0.45)).astype(np.uint8)
+    blended = np.empty_like(pixels)
+    for at in range(0, height, ROWS_AT_ONCE):
+        rows = slice(at, at + ROWS_AT_ONCE)
+        above = wide[max(at - 1, 0)][None]
+        blended[rows] = _blended(
+            pixels[rows], wide[rows], np.concatenate([above, wide[rows][:-1]]), still[rows], palette
+        )
+    return encode_png(_with_key(blended, _frequent(labels, names, static), caption) if legend else blended)
+
+
+def _blended(pixels: Pixels, labels: Pixels, above: Pixels, still: Booleans, palette: Pixels) -> Pixels:
+    """Rows of a photo blended with the colours of labels; `above` are the labels of the row above each."""
+    blended = (pixels * np.float32(0.55) + palette[labels] * np.float32(0.45)).astype(np.uint8)
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     blended[~still] = (grey[~still] * np.float32(0.35) + 150)[:, None].astype(np.uint8)
-    edges = np.zeros((height, width), bool)
-    edges[:, 1:] |= wide[:, 1:] != wide[:, :-1]
-    edges[1:] |= wide[1:] != wide[:-1]
+    edges = labels != above
+    edges[:, 1:] |= labels[:, 1:] != labels[:, :-1]
     blended[edges] = (blended[edges] * np.float32(0.55)).astype(np.uint8)
-    return encode_png(_with_key(blended, _frequent(labels, names, static), caption) if legend else blended)
+    return np.asarray(blended, np.uint8)
 
 
 def graph_png(
@@ -169,8 +183,12 @@ def name_nodes(image: Pixels, names: Sequence[tuple[str, tuple[int, int]]], size
 
 def toned_down(pixels: Pixels) -> Pixels:
     """The photo darker and less saturated, so that drawings on it stand out."""
-    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)[..., None]
-    return np.asarray((pixels * np.float32(0.55) + grey * np.float32(0.25)), np.uint8)
+    toned = np.empty_like(pixels)
+    for at in range(0, len(pixels), ROWS_AT_ONCE):
+        part = pixels[at : at + ROWS_AT_ONCE]
+        grey = cv2.cvtColor(part, cv2.COLOR_RGB2GRAY)[..., None]
+        toned[at : at + ROWS_AT_ONCE] = part * np.float32(0.55) + grey * np.float32(0.25)
+    return toned
 
 
 def encode_png(pixels: Pixels) -> bytes:
