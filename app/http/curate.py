@@ -183,7 +183,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def graph(self, view_id: str, legend: bool) -> bytes:
         """The context graph, drawn over the photo, with or without a key."""
-        return await asyncio.to_thread(partial(self._renderings.graph, legend=legend), view_id)
+        return await self._long.run(partial(self._renderings.graph, legend=legend), view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """An ETag that changes whenever the image does; `kind` names the image and its options."""

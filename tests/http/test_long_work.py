@@ -25,6 +25,8 @@ MANY = 50
         ("snapshots", "restore", lambda curator: curator.restore(Mock(), None, Mock())),
         ("proposals", "of", lambda curator: curator.proposals("campus", 5)),
         ("changes", "between", lambda curator: curator.changes("one", "other")),
+        ("renderings", "segmentation", lambda curator: curator.segmentation("view", True, False)),
+        ("renderings", "graph", lambda curator: curator.graph("view", False)),
     ],
 )
 def test_an_image_is_shown_while_many_wait_for_what_takes_long(
@@ -32,7 +34,7 @@ def test_an_image_is_shown_while_many_wait_for_what_takes_long(
 ) -> None:
     ends = threading.Event()
     parts = {name: Mock() for name in PARTS}
-    getattr(parts[part], method).side_effect = lambda *_: ends.wait(30) and Mock()
+    getattr(parts[part], method).side_effect = lambda *_, **__: ends.wait(30) and Mock()
     parts["renderings"].image.return_value = b"image", "image/png"
     curator = Curator(**parts)
 
