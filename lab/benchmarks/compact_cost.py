@@ -1,6 +1,7 @@
 """What one image costs the built-in network: ``python -m lab.benchmarks.compact_cost --threads 1 [--engine torch]``.
 
-Both engines start from an image at the network's size, uint8, and end with fields in numpy arrays.
+Both engines start from an image at the network's size, uint8, and end with fields in numpy arrays. On a GPU
+(``--engine torch --device cuda --batch 8``) all times are of a batch.
 
 Beside them runs a 512 x 512 x 512 float32 matrix product, so that machines can be compared by ratios. CPU time is
 printed next to wall time, because on a busy machine only the former means anything (and only with one thread).
@@ -35,14 +36,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--engine", choices=("onnxruntime", "torch"), default="onnxruntime")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--runs", type=int, default=30)
+    parser.add_argument("--device", default="cpu", help="of torch")
+    parser.add_argument("--batch", type=int, default=1, help="images that go through the network together")
     options = parser.parse_args(arguments)
+    if options.engine == "onnxruntime" and options.device != "cpu":
+        parser.error(f"--device {options.device} needs --engine torch")
     torch.set_num_threads(options.threads)
-    engine = _engine(options.engine, options.weights, options.threads)
+    engine = _engine(options.engine, options.weights, options.threads, options.device)
     square = torch.randn(512, 512)
     today = datetime.datetime.now(tz=datetime.UTC).date()
-    print(f"{options.engine} {version(options.engine)}, {platform.machine()}, {options.threads} thread(s), {today}")
+    device = platform.machine() if options.device == "cpu" else torch.cuda.get_device_name(options.device)
+    print(f"{options.engine} {version(options.engine)}, {device}, {options.threads} thread(s), {today}")
     for height, width in SIZES:
-        image = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
+        image = np.random.default_rng(0).integers(0, 256, (options.batch, height, width, 3), np.uint8)
         runs: dict[str, Callable[[], object]] = {"semantic and detail": partial(engine.fields, image)}
         runs |= {
             f"segmentation, member {member}": partial(engine.segment, image, at) for at, member in enumerate(ENSEMBLE)
@@ -57,11 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"  ratio to the product: {ratios[0]} wall, {ratios[1]} CPU")
 
 
-def _engine(name: str, weights: Path, threads: int) -> Engine:
+def _engine(name: str, weights: Path, threads: int, device: str) -> Engine:
     fine = [weights.with_name(f"{weights.stem}-{member}.safetensors") for member in ENSEMBLE]
     if name == "torch":
         keep_freed_memory()
-        return TorchEngine(weights.read_bytes(), [path.read_bytes() for path in fine], "cpu")
+        return TorchEngine(weights.read_bytes(), [path.read_bytes() for path in fine], device)
     return OnnxEngine(weights.with_suffix(".onnx"), [path.with_suffix(".onnx") for path in fine], threads=threads)
 
 

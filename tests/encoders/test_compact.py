@@ -71,6 +71,11 @@ def reference() -> TorchEngine:
     return TorchEngine(WEIGHTS.read_bytes(), [path.read_bytes() for path in MEMBERS], "cpu")
 
 
+@pytest.fixture(scope="module")
+def on_gpu() -> CompactEncoder:
+    return CompactEncoder("cuda")
+
+
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     """The shipped files where they can be spoilt."""
@@ -126,6 +131,34 @@ class TestParity:
             assert cosines(mine.semantic, other.semantic).min() > 0.9999
         for image in images[:2]:
             assert cosines(by_onnx.segment(image).semantic, by_torch.segment(image).semantic).min() > 0.9999
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+class TestOnAGpu:
+    """A map that a GPU described is queried on a CPU, and the other way round."""
+
+    def test_every_cell_is_as_on_a_cpu(self, encoder: CompactEncoder, on_gpu: CompactEncoder) -> None:
+        images = [drawn(*size) for size in SIZES for _ in range(3)]
+
+        for mine, other in zip(encoder.encode(images), on_gpu.encode(images), strict=True):
+            assert cosines(mine.semantic, other.semantic).min() > 0.9999
+            assert cosines(mine.layers["detail"], other.layers["detail"]).min() > 0.9999
+
+    def test_segmentations_are_as_on_a_cpu(self, encoder: CompactEncoder, on_gpu: CompactEncoder) -> None:
+        for size in SIZES[:2]:
+            image = drawn(*size)
+            assert (
+                cosines(segmenter(encoder).segment(image).semantic, segmenter(on_gpu).segment(image).semantic).min()
+                > 0.9999
+            )
+
+    def test_neighbours_in_a_batch_change_rounding_alone(self, on_gpu: CompactEncoder) -> None:
+        image, other = drawn(640, 480), Image.of(np.zeros((480, 640, 3), np.uint8))
+        [alone] = on_gpu.encode([image])
+        together = list(on_gpu.encode([other, image, *[other] * 6]))[1]
+
+        assert cosines(alone.semantic, together.semantic).min() > 0.99999
+        assert cosines(alone.layers["detail"], together.layers["detail"]).min() > 0.99999
 
 
 class TestIndependence:
