@@ -7,7 +7,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
+from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say, told
 from app.cli.filters import points_joined
 from app.version import VERSION
 
@@ -109,14 +109,12 @@ def _foreseen(error: Exception) -> str | None:
         if error.name.partition(".")[0] in ("lab", "scenes", "training"):
             return "this installation holds the service alone; run this command in a checkout of the repository"
         return f"the package {error.name} is not installed; `./revisit set-up` installs what is needed"
-    from revisit_client import ClientError, RevisitProblem
+    from revisit_client import ClientError
 
     from schemas.errors import RevisitError
 
-    if isinstance(error, RevisitProblem) and error.code == "unauthorized":
-        return f"{error}\nThe command line takes the key from REVISIT_KEY, or from --key"
     if isinstance(error, ClientError | RevisitError | TimeoutError):
-        return str(error)
+        return told(error)
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):

@@ -29,6 +29,12 @@ def wrong_use(text: str) -> NoReturn:
     raise Failure(text, WRONG_USE)
 
 
+def told(error: BaseException) -> str:
+    """What an error of the client says, and where a command takes the key from that is missing."""
+    hint = "\nThe command line takes the key from REVISIT_KEY, or from --key"
+    return f"{error}{hint if getattr(error, 'code', None) == 'unauthorized' else ''}"
+
+
 def say(text: str) -> None:
     """Print a message on stderr, so that a pipe gets results only."""
     print(_printable(text, sys.stderr), file=sys.stderr, flush=True)

@@ -20,6 +20,7 @@ from app.cli.console import (
     show,
     show_json,
     speaks,
+    told,
     wrong_use,
 )
 
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from revisit_client import Revisit
     from revisit_client.wire import Enrolled
 
+
+OF_THE_SERVICE = frozenset(("unauthorized", "forbidden", "other-site", "too-many-requests", "unavailable", "disk-full"))
+"""Problems that every further image would meet too, once the client's patience is over."""
 
 Work: TypeAlias = "tuple[Path, images.Known]"
 """An image and its attributes."""
@@ -211,6 +215,9 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
             try:
                 answer = revisit.enroll(path, **known)
             except (RevisitProblem, Unsendable, OSError) as error:
+                if isinstance(error, RevisitProblem) and error.code in OF_THE_SERVICE:
+                    stop.append(error)
+                    return
                 with lock:
                     summary.failed.append({"file": str(path), "reason": _reason(error)})
                     step(path.name)
@@ -236,7 +243,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
         say(_come_in(summary, work, ", and those that were being sent may be"))
         raise
     if stop:
-        raise Failure(f"{stop[0]}\n{_come_in(summary, work)}")
+        raise Failure(f"{told(stop[0])}\n{_come_in(summary, work)}")
     summary.sort([path for path, _ in work])
     return summary
 

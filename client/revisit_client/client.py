@@ -191,6 +191,7 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         where: Mapping[str, Any] | str | None = None,
         exclude_last: int | str | timedelta | None = None,
         exclude: Sequence[str] = (),
+        idempotency_key: str | None = None,
     ) -> wire.QueryAnswer:
         """Find the views of a map, or of several, that show the place of an image.
 
@@ -234,6 +235,9 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
             Leave out the newest N views, or those of the last seconds (``"30s"``): for loop closure.
         exclude : sequence of str
             Ids of views to leave out.
+        idempotency_key : str or None
+            The answer of an earlier query with this key is repeated, for a day. None: a new key with `drive`, else
+            none.
         """
         chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
@@ -245,7 +249,8 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
             "consistent": consistent,
         }
         # An image of a drive counts once, however often it is sent until an answer arrives.
-        headers = {} if drive is None else {"Idempotency-Key": uuid.uuid4().hex}
+        key = idempotency_key or (None if drive is None else uuid.uuid4().hex)
+        headers = {} if key is None else {"Idempotency-Key": header_text(key, "the Idempotency-Key")}
         name, data = named(image)
         fields = texts({**options, **chosen})
         return self._connection.receive(

@@ -132,7 +132,7 @@ class Connection:
             self._sleep(pause)
             pause = min(LONGEST_PAUSE_S, pause * 2)
             part = {"range": f"bytes={come}-", "if-range": tag}
-            answer = self.send("GET", path, stream=True, lost=True, headers=headers | part)
+            answer = self.send("GET", path, stream=True, there=True, headers=headers | part)
             if not answer.headers.get("content-range", "").startswith(f"bytes {come}-"):
                 answer.close()
                 raise broken
@@ -183,7 +183,7 @@ class Connection:
         repeat: bool = True,
         accept: int | None = None,
         stream: bool = False,
-        lost: bool = False,
+        there: bool = False,
         **request: Any,
     ) -> httpx.Response:
         """Send a request; repeat it within `patience` seconds while that may help.
@@ -196,7 +196,7 @@ class Connection:
             A status of 400 or more that is returned instead of raised.
         stream : bool
             Whether the body of the answer is left to be read, and the answer to be closed, by the caller.
-        lost : bool
+        there : bool
             Whether the service was just there, so that it may be starting again where it refuses the connection.
         **request
             Further arguments of `httpx.Client.build_request`.
@@ -205,7 +205,7 @@ class Connection:
         ------
         RevisitProblem, Unreachable
         """
-        deadline, pause = self._clock() + self._patience, FIRST_PAUSE_S
+        deadline, pause, lost = self._clock() + self._patience, FIRST_PAUSE_S, False
         while True:
             trouble: ClientError
             try:
@@ -214,12 +214,12 @@ class Connection:
                     answer.read()
             except httpx.TransportError as error:
                 trouble = Unreachable(self.url, reason(error))
-                # A refused connection is reported at once, unless a service has just broken one off: it may be starting
-                # again. When a connection breaks, the service may have received the request already: then only requests
-                # with `repeat` are sent again.
+                # A refused connection is reported at once, unless the service has just answered or broken one off: it
+                # may be starting again, and nothing was sent. When a connection breaks, the service may have received
+                # the request already: then only requests with `repeat` are sent again.
                 refused = isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol)
-                again, wait = repeat and (lost or not refused), pause
-                lost = again
+                again, wait = there if refused else repeat, pause
+                lost, there = lost or not refused, there or again
             except UnicodeEncodeError as error:
                 raise Unsendable(f"{error.object[:100]!r} is no Unicode, and cannot be sent") from None
             except httpx.DecodingError as error:
@@ -232,7 +232,7 @@ class Connection:
                     problem.detail += MAYBE_DELETED
                 trouble = RevisitProblem(problem, named)
                 # 429 and 503 are answered before any work is done: every request may be repeated.
-                again = answer.status_code in (429, 503) or (lost and _still_runs(answer))
+                again = there = answer.status_code in (429, 503) or (lost and _still_runs(answer))
                 # A time that is over by a clock that is ahead must not make calls without a pause.
                 wait = pause if named is None or named < FIRST_PAUSE_S else named
             if not again or self._clock() + wait > deadline:

@@ -8,6 +8,7 @@ Path("graph.g2o").write_text(g2o(closer.keyframes, closer.loops))
 """
 
 import csv as csv_files
+import hashlib
 import io
 import math
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from uuid import uuid4
 
 from revisit_client.client import Revisit
 from revisit_client.errors import ClientError, RevisitProblem
-from revisit_client.parameters import Image
+from revisit_client.parameters import Image, named
 
 KEYFRAME = "keyframe"
 """Name in the metadata of a view under which the number of its keyframe is kept."""
@@ -150,6 +151,7 @@ class LoopCloser:
         if consistent > 1:  # a walk may stand still for long
             named = {"drive": drive or f"loops-{uuid4().hex}", "consistent": consistent, "drive_timeout": 86400}
             self._drive = named
+        self._walk, self._last_counted = uuid4().hex, -math.inf
         self._numbers: dict[str, int] = {}
         self.keyframes: list[Keyframe] = []
         self.seen: list[Loop | None] = []
@@ -170,14 +172,16 @@ class LoopCloser:
             The number is not larger than that of the keyframe before.
         ClientError
             The service refused or did not answer, or the map holds another walk. The keyframe is not among
-            `keyframes`, and may be added again.
+            `keyframes`, and may be added again: it counts once for `consistent`.
         """
         if not self.keyframes:
             self._refuse_another_walk()
         elif keyframe.number <= self.keyframes[-1].number:
             raise ValueError(f"keyframe {keyframe.number} comes after {self.keyframes[-1].number}; numbers grow")
         seen, agreeing = self._seen(image, keyframe)
-        self._counted.append(None)  # by the service, whether it is enrolled or not
+        if keyframe.number != self._last_counted:
+            self._counted.append(None)  # by the service, whether it is enrolled or not
+        self._last_counted = keyframe.number
         enrolled = self._revisit.enroll(
             image,
             map=self._map,
@@ -210,6 +214,8 @@ class LoopCloser:
 
     def _seen(self, image: Image, keyframe: Keyframe) -> tuple[Loop | None, int]:
         """What a keyframe is recognised as, and how many in a row agree."""
+        # The same each time that it is added, so that the service counts it once.
+        key = hashlib.sha256(f"{self._walk} {keyframe}".encode() + named(image)[1]).hexdigest()
         try:
             answer = self._revisit.query(
                 image,
@@ -217,6 +223,7 @@ class LoopCloser:
                 exclude_last=self._exclude_last,
                 near=None if self._within_m is None else (keyframe.x, keyframe.y, self._within_m),
                 precision=self._precision,
+                idempotency_key=key if self._drive else None,
                 **self._drive,
             )
         except RevisitProblem as problem:

@@ -129,6 +129,25 @@ def test_a_service_that_is_gone_stops_it_and_says_how_to_go_on(folder: Path, cap
     assert "run the same command again" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("status", "code", "told"), [(401, "unauthorized", "REVISIT_KEY"), (403, "forbidden", ""), (507, "disk-full", "")]
+)
+def test_what_would_refuse_every_image_stops_it_at_once(
+    service: FakeService, tmp_path: Path, capsys: Out, status: int, code: str, told: str
+) -> None:
+    for number in range(40):
+        (tmp_path / f"{number}.png").write_bytes(b"an image")
+    service.replies["POST /enroll"] = lambda _: (status, answers.problem(code, status, detail="no, never"))
+
+    assert main(["enroll", str(tmp_path), "--parallel", "2"]) == 1
+
+    assert len(service.requests) <= 2
+    err = capsys.readouterr().err
+    assert "no, never" in err
+    assert told in err
+    assert "0 of 40 images are enrolled; run the same command again to go on" in err
+
+
 def test_an_interrupted_one_says_how_many_are_in(service: FakeService, folder: Path, capsys: Out) -> None:
     """CTRL-C while the second image is sent."""
     count = iter(range(9))

@@ -36,8 +36,17 @@ class Service:
         self.enrolled: list[bytes] = []
         self.row = Row()
         self.refuses = False
+        self.told: dict[str, httpx.Response] = {}
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
+        key = request.headers.get("idempotency-key", "")
+        if request.url.path != "/query" or not key:
+            return self._answer(request)
+        if key not in self.told:
+            self.told[key] = self._answer(request)
+        return httpx.Response(200, content=self.told[key].content)
+
+    def _answer(self, request: httpx.Request) -> httpx.Response:
         if request.url.path == "/views":
             return httpx.Response(200, json={"views": self.kept, "next": None})
         if request.url.path == "/enroll" and self.refuses:
@@ -166,6 +175,28 @@ def test_a_keyframe_that_was_counted_and_not_enrolled_draws_no_earlier_one_in() 
             closer.add(IMAGE, Keyframe(number, number, 0))
 
     assert [(loop.keyframe - FIRST, loop.earlier) for loop in closer.loops] == [(1, 40), (3, 42)]
+
+
+def test_a_keyframe_that_is_added_again_until_it_is_enrolled_counts_once() -> None:
+    service = Service([40, 41, 42])
+    closer = service.closer(consistent=3)
+    found: list[Loop] = []
+    for number in range(len(service.seen)):
+        for service.refuses in (True, True, False):
+            with pytest.raises(RevisitProblem) if service.refuses else nullcontext():
+                found += closer.add(IMAGE, Keyframe(number, number, 0))
+        assert len(closer.loops) == (3 if number == FIRST + 2 else 0)
+
+    assert [(loop.keyframe - FIRST, loop.earlier) for loop in found] == [(0, 40), (1, 41), (2, 42)]
+    assert len(service.queries) == len(service.seen)
+
+
+def test_walks_share_no_answers() -> None:
+    service = Service([40, 41, 42])
+    for closer in (service.closer(consistent=3), service.closer(consistent=3)):
+        closer.add(IMAGE, Keyframe(0, 0, 0))
+
+    assert len(service.queries) == 2
 
 
 def test_as_a_drive_each_keyframe_counts_by_itself() -> None:

@@ -120,6 +120,24 @@ def test_a_file_that_is_deleted_while_it_is_fetched_is_told(tmp_path: Path) -> N
     assert (caught.value.code, list(tmp_path.iterdir())) == ("not-found", [])
 
 
+@pytest.mark.parametrize("status", [429, 503])
+def test_a_service_that_was_there_just_now_is_waited_for(status: int) -> None:
+    """It says that it stops, and then its port is closed until it has started again."""
+    closed = httpx.ConnectError("[Errno 111] Connection refused")
+    handler = in_turn(refused("unavailable", status), closed, closed, httpx.Response(201, json=answers.enrolled()))
+
+    assert client(handler).enroll(b"image").created
+
+
+def test_what_must_not_be_done_twice_is_sent_again_where_nothing_was_sent() -> None:
+    stopping, closed = refused("unavailable", 503), httpx.ConnectError("[Errno 111] Connection refused")
+
+    with pytest.raises(RevisitProblem, match="There is no such thing"):
+        client(in_turn(stopping, closed, refused("not-found", 404))).make_snapshot("walk")
+    with pytest.raises(Unreachable, match="connection reset"):
+        client(in_turn(stopping, httpx.ReadError("connection reset"))).make_snapshot("walk")
+
+
 def test_a_request_whose_answer_got_lost_is_repeated() -> None:
     tries: list[int] = []
 

@@ -83,5 +83,5 @@ def test_node_speaks_to_a_service(generate: ModuleType, tmp_path: Path) -> None:
         "place": "gate",
         "ready": 1,
         "thumbnail": "image/jpeg",
-        "problems": [[404, "not-found", 0], [422, "invalid-parameter", 1], *[[0, "", 0]] * 5],
+        "problems": [[404, "not-found", 0], [422, "invalid-parameter", 1], *[[0, "", 0]] * 6, "Error: another page"],
     }

@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from 0b6dfa5330114b4b4249847447dc24e378568bbe6c694f52bef0ee9f5ace8d68
+// By client/typescript/generate.py, from 4d33180d534f27b820e69393995448860c048f707e6653ec13043d76cba5cd2b
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -86,6 +86,13 @@ export class Revisit {
         return this.#call("PATCH", path, options);
     }
     delete(path, options) {
+        const query = options?.query ?? {};
+        const empty = Object.keys(query).filter((name) => [null, undefined, ""].includes(query[name]));
+        if (empty.length) {
+            // Left out, a filter without a value would have more deleted.
+            const detail = `${empty.join(", ")} has no value; leave it out to delete without it`;
+            return Promise.reject(new Problem(0, { title: "Nothing was sent", detail }));
+        }
         return this.#call("DELETE", path, options);
     }
     /** Any request by its address, for images and files; gives the response once its headers are there. */
@@ -105,7 +112,7 @@ export class Revisit {
             });
         }
         catch (error) {
-            if (error instanceof DOMException && error.name === "AbortError")
+            if (isAborted(error, signal))
                 throw error;
             throw Problem.silence();
         }
@@ -121,11 +128,15 @@ export class Revisit {
             return (await response.json());
         }
         catch (error) {
-            if (error instanceof DOMException && error.name === "AbortError")
+            if (isAborted(error, options.signal))
                 throw error;
             throw Problem.silence("the answer broke off, or is not of revisit; is there a proxy between?");
         }
     }
+}
+/** Whether a call failed because its signal aborted it: with whatever reason, a time that is over among them. */
+function isAborted(error, signal) {
+    return Boolean(signal?.aborted) || (error instanceof DOMException && error.name === "AbortError");
 }
 /** One part of a path. fetch makes another address of "." and "..": /maps/campus/unknown/.. is the map. */
 function part(value) {

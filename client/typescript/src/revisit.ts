@@ -152,6 +152,13 @@ export class Revisit {
     path: P,
     options: Typed<Operation<"delete", P>>,
   ): Promise<Answer<Operation<"delete", P>>> {
+    const query: Record<string, unknown> = (options as Options | undefined)?.query ?? {};
+    const empty = Object.keys(query).filter((name) => [null, undefined, ""].includes(query[name] as null));
+    if (empty.length) {
+      // Left out, a filter without a value would have more deleted.
+      const detail = `${empty.join(", ")} has no value; leave it out to delete without it`;
+      return Promise.reject(new Problem(0, { title: "Nothing was sent", detail }));
+    }
     return this.#call("DELETE", path, options);
   }
 
@@ -170,7 +177,7 @@ export class Revisit {
         credentials: "omit",
       });
     } catch (error) {
-      if (error instanceof DOMException && error.name === "AbortError") throw error;
+      if (isAborted(error, signal)) throw error;
       throw Problem.silence();
     }
     if (response.ok) return response;
@@ -184,10 +191,15 @@ export class Revisit {
     try {
       return (await response.json()) as T;
     } catch (error) {
-      if (error instanceof DOMException && error.name === "AbortError") throw error;
+      if (isAborted(error, options.signal)) throw error;
       throw Problem.silence("the answer broke off, or is not of revisit; is there a proxy between?");
     }
   }
+}
+
+/** Whether a call failed because its signal aborted it: with whatever reason, a time that is over among them. */
+function isAborted(error: unknown, signal?: AbortSignal | null): boolean {
+  return Boolean(signal?.aborted) || (error instanceof DOMException && error.name === "AbortError");
 }
 
 /** One part of a path. fetch makes another address of "." and "..": /maps/campus/unknown/.. is the map. */

@@ -19,6 +19,8 @@ for (const wrong of [
   () => revisit.delete("/maps/{map}/unknown/{place_id}", { path: { map: "campus", place_id: ".." } }),
   () => revisit.get("/maps/{map}", { path: { map: "\ud800" } }),
   () => new Revisit(url, { key: "rv_…" }).get("/version"),
+  () => revisit.delete("/views", { query: { map: "campus", place: "gate", "metadata.session": undefined } }),
+  () => revisit.get("/version", { signal: AbortSignal.abort(new Error("another page")) }),
 ]) {
   try {
     await wrong();
