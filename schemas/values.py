@@ -61,8 +61,11 @@ def plain_text(text: object) -> str:
 
 
 def place_name(text: object) -> str:
-    """Check the name of a place as it is given: text of which something is seen, without commands to a terminal."""
-    checked = plain_text(text)
+    """Check the name of a place as it is given: text of which something is seen, without commands to a terminal.
+
+    Returned as `composed`: one name is one place, whichever program wrote it.
+    """
+    checked = composed(plain_text(text))
     categories = [unicodedata.category(c) for c in checked]
     if "Cc" in categories:
         raise ValueError("must not contain control characters")
@@ -88,8 +91,13 @@ def file_name(text: str | None) -> str | None:
 
 
 def composed(name: str) -> str:
-    """A file name with its accents in one character each (NFC), however the system that wrote it keeps them."""
+    """A name with its accents in one character each (NFC), however the system that wrote it keeps them."""
     return unicodedata.normalize("NFC", name)
+
+
+def spellings(name: str) -> tuple[str, ...]:
+    """What a name may be kept as: composed, or as it was given before names were."""
+    return tuple(sorted({name, composed(name), unicodedata.normalize("NFD", name)}))
 
 
 def in_order(name: str) -> tuple[object, ...]:

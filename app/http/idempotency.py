@@ -64,7 +64,8 @@ async def once(
 ) -> Response:
     """Do the work, or repeat the answer that a call with this key got.
 
-    4xx answers are repeated too; 429 and 5xx are forgotten, so that the caller can try again.
+    4xx answers are repeated too. 429 and 5xx are forgotten, so that the caller can try again, and so is an answer with
+    Retry-After: a part of its work was put off.
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ async def once(
     except BaseException:
         await _abandon(curator, key)
         raise
-    if response.status_code >= 500 or response.status_code == 429:
+    if response.status_code >= 500 or response.status_code == 429 or "retry-after" in response.headers:
         await _abandon(curator, key)
         return response
     kept = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}

@@ -84,6 +84,23 @@ def cache(store: SqlStore, **options: Any) -> FilterCache:
     return FilterCache(store._database, **{"settled_s": 0.0, **options})
 
 
+@pytest.mark.parametrize("looked_for", ["Caf\u00e9", "Cafe\u0301"])
+@pytest.mark.parametrize("kept", ["Caf\u00e9", "Cafe\u0301"])
+def test_a_place_is_found_however_accents_are_written_here_and_there(
+    store: SqlStore, kept: str, looked_for: str
+) -> None:
+    """Names given before they were composed are kept as they were."""
+    there = enroll(store, "terrace", attributes=ViewAttributes(kept)).view
+    enroll(store, "kitchen", attributes=ViewAttributes("Kitchen"))
+    describe_all(store)
+
+    store.listings._columns = cache(store)
+
+    for _ in range(2):  # by the database, and by what is in memory then
+        assert chosen(store, Filters(place=looked_for)) == ([there.seq], [])
+    assert by_database(store, Filters(place=looked_for)) == ([there.seq], [])
+
+
 def test_memory_and_database_choose_the_same_and_memory_is_bounded(walk: SqlStore) -> None:
     expected = [by_database(walk, filters) for filters in FILTERS]
     for filters, of_database in zip(FILTERS, expected, strict=True):

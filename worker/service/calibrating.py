@@ -11,6 +11,7 @@ from schemas.comparisons import KnownView
 from schemas.errors import Conflict, InvalidParameters, NotFound, ParameterError, Unavailable
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
+from schemas.values import spellings
 from worker.description.describers import Describers
 from worker.method import cascade
 from worker.method.byte_vectors import Product
@@ -303,7 +304,7 @@ def _shows(known: KnownView, query: LabelledView, within: float) -> bool:
     """Whether a view shows the right place."""
     if query.position is not None:
         return distance(known.position, query.position) <= within
-    return query.place is not None and known.name == query.place
+    return query.place is not None and known.name in spellings(query.place)
 
 
 def _blocks(answers: Sequence[ObservedAnswer]) -> Indices:

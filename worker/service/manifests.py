@@ -150,7 +150,7 @@ def attributes(row: Row, name: str) -> ViewAttributes:
         wrong.append(f"place is {str(named)[:40]!r}, which is no text")
     elif place is not None:
         try:
-            values.place_name(place)
+            place = values.place_name(place)
         except ValueError as error:
             wrong.append(f"place {error}")
         if len(place) > LONGEST_PLACE:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import sqlalchemy as sa
 
 from schemas.records import Filters, Sequence64
+from schemas.values import spellings
 from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Predicate
 from worker.storage.database import Database
 from worker.storage.filter_columns import Column, Mask, NotExact, Path, read
@@ -316,7 +317,7 @@ def _mask(filters: Filters, columns: Mapping[Path, Column], *, geographic: bool)
     if filters.before is not None:
         masks.append(columns["captured_at",].compared("$lte", filters.before))
     if filters.place is not None:
-        masks.append(columns["place",].equal(filters.place))
+        masks.append(reduce(np.logical_or, map(columns["place",].equal, spellings(filters.place))))
     masks += [columns["=", key].equal(text) for key, text in filters.metadata.items()]
     if filters.where is not None:
         masks.append(_fulfilled(filters.where, columns))

@@ -16,6 +16,7 @@ import sqlalchemy as sa
 
 from schemas.errors import InvalidParameters
 from schemas.records import Filters
+from schemas.values import spellings
 from worker.storage.rows import as_json, unit_vector
 from worker.storage.tables import METADATA_PAIRS, VIEWS
 from worker.storage.where import fulfilling
@@ -72,7 +73,7 @@ def allowing(connection: sa.Connection, filters: Filters, scope: Sequence[Clause
     if filters.before is not None:
         conditions.append(VIEWS.c.captured_at <= filters.before)
     if filters.place is not None:
-        conditions.append(VIEWS.c.place == filters.place)
+        conditions.append(VIEWS.c.place.in_(spellings(filters.place)))
     for key, text in filters.metadata.items():
         pair = METADATA_PAIRS.c.pair == metadata_pair(key, text)
         conditions.append(VIEWS.c.seq.in_(sa.select(METADATA_PAIRS.c.seq).where(pair)))

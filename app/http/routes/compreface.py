@@ -20,6 +20,7 @@ from app.http.validation import validated
 from app.version import VERSION
 from schemas.errors import NotFound, RevisitError
 from schemas.records import Filters, Position, ViewAttributes
+from schemas.values import spellings
 from schemas.wire import QueryAnswer, View
 
 router = APIRouter(prefix=COMPREFACE, tags=["compatible services"], dependencies=checked)
@@ -101,7 +102,7 @@ async def rename_subject(name: MapName, subject: SubjectName, request: Request, 
 
     def renamed(attributes: ViewAttributes) -> ViewAttributes:
         nonlocal updated
-        if attributes.place != subject:  # somebody gave the view to another place meanwhile
+        if attributes.place not in spellings(subject):  # somebody gave the view to another place meanwhile
             return attributes
         updated = True
         return replace(attributes, place=wanted)

@@ -39,7 +39,11 @@ _ANY = Enrolled | EnrolledMany
             "content": {"application/json": {"example": ENROLLED}},
         },
         202: {"model": _ANY, "description": "Durable; `job` describes it.", "headers": _LOCATION},
-        207: {"model": EnrolledMany, "description": "Some images were refused; `errors` says why."},
+        207: {
+            "model": EnrolledMany,
+            "description": "Some images were refused; `errors` says why. With `Retry-After` repeat the call: the "
+            "service was full, and keeps no such answer for its Idempotency-Key.",
+        },
         **refusals(
             "no-picture",
             "malformed-body",
@@ -101,10 +105,20 @@ def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
             revision=max(view.revision for view in views),
             timing_ms=_slowest(views),
         )
-    headers = {}
+    headers = _try_again([error for _, error in refused])
     if len(outcomes) == 1:
         headers["Location"] = f"/jobs/{views[0].job}" if views[0].job else views[0].view.links.self
     return Response(body.model_dump_json(), _status(views, bool(refused)), headers, "application/json")
+
+
+def _try_again(errors: list[RevisitError]) -> dict[str, str]:
+    """Retry-After, where some images were refused for what may go away; with it the call may be repeated as it was."""
+    waits = [error.retry_after_s if isinstance(error, Busy) else 1 for error in errors if _may_go_away(error)]
+    return {"Retry-After": str(max(waits))} if waits else {}
+
+
+def _may_go_away(error: RevisitError) -> bool:
+    return (status := KINDS[code_of(error)].status) == 429 or status >= 500
 
 
 def _status(views: list[Enrolled], some_refused: bool) -> int:
