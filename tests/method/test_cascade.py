@@ -274,6 +274,17 @@ class TestVerification:
         assert sorted(views.fetched[2][1]) == sorted(views.views)
         assert all(candidate.verified is not None for candidate in ranking)
 
+    def test_as_many_others_are_verified_however_many_views_the_first_place_has(self) -> None:
+        """So that what inliers are measured by stays what it is."""
+        views = enrolled((0.0, 0.1, 0.1, 0.1, 0.3, 0.35, 0.4, 0.6, 0.9, 1.3, 2.0, 3.0))
+        views.attributes = {seq: KnownView("home" if seq < 14 else f"other {seq}") for seq in views.views}
+        equal = found({SEMANTIC: [0.5] * 12, DETAIL: [0.5] * 12})
+
+        ranking = ranked(changed(verified_top_k=6), views=views, candidates=equal)
+
+        others = [one.seq for one in ranking if one.verified and one.seq >= 14]
+        assert sorted(others) == [14, 15, 16, 17, 18]
+
     def test_inliers_count_as_far_as_they_exceed_those_of_the_others(self) -> None:
         ranking = ranked(changed(verified_top_k=3))
 

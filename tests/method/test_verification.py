@@ -123,6 +123,9 @@ def test_only_what_stands_out_counts() -> None:
     bonus = verification.gated_bonus([6, 6, 14, 34, 2])
     np.testing.assert_allclose(bonus, [0, 0, 0, 20 / 46, 0])
     assert verification.gated_bonus([]).shape == (0,)
+    # Three views of the right place, which counts once, and three others: the median is 6.
+    bonus = verification.gated_bonus([34, 40, 31, 6, 6, 2], [34, 6, 6, 2])
+    np.testing.assert_allclose(bonus, [20 / 46, 26 / 52, 17 / 43, 0, 0, 0])
 
 
 @settings(deadline=None)  # a busy machine is no failure

@@ -207,7 +207,11 @@ def compare_coarse(
             alone = channel_fusion.single_channel_agreement(
                 ours.coarse, coarse, channels, DETAIL, product, cell_aspect=aspect
             ).scores
-            evidence.align_scale = evidence.align_scale or channel_fusion.align_scale(scores, alone)
+            if not evidence.align_scale:
+                # Of what comes first the view that was enrolled first: further ones of its place then change nothing.
+                leaders = (int(evidence.rows[some.argmax()]) for some in (scores, alone))
+                once = np.isin(evidence.rows, evidence.counted_once(evidence.rows, *leaders))
+                evidence.align_scale = channel_fusion.align_scale(scores[once], alone[once])
             scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
         evidence.put("dense", evidence.rows, scores)
         evidence.shifts, evidence.cell_aspect = agreement.shifts * 2, aspect
@@ -249,13 +253,21 @@ def compare_full(
 
 
 def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
-    """Stage 4: geometric verification of the best so far."""
-    if query.keypoints is None or evidence.config.verified_top_k == 0:
+    """Stage 4: geometric verification of the best so far, and of as many others as if the first place had one view.
+
+    The median that inliers are measured by counts that place once: its further views neither raise it nor push out the
+    views of others that it is of.
+    """
+    count = evidence.config.verified_top_k
+    if query.keypoints is None or count == 0:
         return
-    first = evidence.best(evidence.config.verified_top_k)
+    best, order = evidence.best(count), evidence.in_order()
+    usual = evidence.counted_once(order, int(order[0]))[:count]
+    first = np.concatenate([best, np.setdiff1d(usual, best)])
     verified = verification.verify(query.keypoints, fetch.local_features(evidence.seqs(first)))
     evidence.verified.update(zip(first.tolist(), verified, strict=True))
-    evidence.put("verification", first, verification.gated_bonus([one.inliers for one in verified]))
+    inliers, among = ([evidence.verified[row].inliers for row in rows.tolist()] for rows in (first, usual))
+    evidence.put("verification", first, verification.gated_bonus(inliers, among))
 
 
 def compare_impostors(

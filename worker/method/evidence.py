@@ -267,8 +267,7 @@ class Evidence:
         Up to `RIVALS` of another place than the first are among them: where there are fewer, they replace the last
         views of its own place and neighbourhood.
         """
-        score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
-        order = score_fusion.order(score, self.distance, self.rows)[: len(self.rows)]
+        order = self.in_order()
         if len(order) <= count:
             return order
         rival = self._apart_from_first(order)
@@ -278,6 +277,20 @@ class Evidence:
         added = count + np.flatnonzero(rival[count:])[: count - len(kept)]
         chosen: Rows = order[np.concatenate([kept, added])]
         return chosen
+
+    def in_order(self) -> Rows:
+        """The re-ranked candidates, best first by the evidence so far."""
+        score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
+        return score_fusion.order(score, self.distance, self.rows)[: len(self.rows)]
+
+    def counted_once(self, rows: Rows, *leaders: int) -> Rows:
+        """Some re-ranked candidates, in their order, less all but the first of the places of `leaders` among them."""
+        for leader in leaders:
+            if leader in rows:  # else its place is counted once already
+                [of_leader] = self.seqs(np.array([leader], np.intp))
+                own = np.flatnonzero([self.places.same(of_leader, seq) for seq in self.seqs(rows)])
+                rows = np.delete(rows, own[1:])
+        return rows
 
     def _apart_from_first(self, order: Rows) -> npt.NDArray[np.bool_]:
         """Which rows show another place than the first of them."""

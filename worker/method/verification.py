@@ -170,24 +170,26 @@ def verify(query: LocalFeatures, views: Sequence[LocalFeatures]) -> list[Verifie
     return found
 
 
-def gated_bonus(inliers: npt.ArrayLike) -> Floats:
-    """Bonus for inliers beyond the median of all verified candidates.
+def gated_bonus(inliers: npt.ArrayLike, among: npt.ArrayLike | None = None) -> Floats:
+    """Bonus for inliers beyond the median of the verified candidates.
 
     Parameters
     ----------
     inliers : array-like of int, shape (candidates,)
         Inliers of the candidates verified for one query.
+    among : array-like of int, shape (some,), optional
+        Those that the median is of, without further views of the first place; otherwise `inliers`.
 
     Returns
     -------
     float32 of shape (candidates,)
-        max(0, n - m - 8) / (n + 12) for n inliers and their median m: 0..1, and never falls as n grows. Where
+        max(0, n - m - 8) / (n + 12) for n inliers and the median m: 0..1, and never falls as n grows. Where
         keypoints do not match (night, snow) all candidates are near the median, get 0, and other evidence decides.
     """
     counts = np.asarray(inliers, np.float32)
     if counts.size == 0:
         return np.zeros(0, np.float32)
-    usual = float(np.median(counts))
+    usual = float(np.median(counts if among is None else np.asarray(among, np.float32)))
     excess = np.maximum(counts - usual - UNREMARKABLE, 0)
     bonus: Floats = (excess / (excess + usual + SOFTENING)).astype(np.float32)
     return bonus
