@@ -39,16 +39,18 @@ class Town:
     def enrol(self) -> None:
         long_ago = NOW - timedelta(days=365)
         for number, name in enumerate(PLACES):
-            given = ViewAttributes(name, Position(x=100.0 * number, y=1.0))
             for turn in (0, 6):
-                body = photo(scene(name).seen_from(turn=turn))
-                facts = ImageFacts(480, 360, len(body), "jpeg", hashlib.sha256(body).hexdigest())
-                self.runtime.store.enrolment.submit(
-                    self.name, body, facts, given, self.runtime.default_recipe, long_ago
-                )
+                self.take(name, Position(x=100.0 * number, y=1.0), turn, long_ago)
+        self.settle()
+
+    def take(self, name: str, where: Position, turn: float, then: datetime) -> None:
+        """Enrol a photo of a place, as if it were another day."""
+        body = photo(scene(name).seen_from(turn=turn))
+        facts = ImageFacts(480, 360, len(body), "jpeg", hashlib.sha256(body).hexdigest())
+        given, recipe = ViewAttributes(name, where), self.runtime.default_recipe
+        self.runtime.store.enrolment.submit(self.name, body, facts, given, recipe, then)
         assert self.runtime.loop is not None
         self.runtime.loop.wake()
-        self.settle()
 
     def snapshot(self) -> bytes:
         """The map as a file."""
@@ -177,6 +179,22 @@ def test_what_is_enrolled_now_stands_where_no_photo_was_kept(town: Town) -> None
     given = {"map": town.name, "place": "rose garden", "x": 200.0, "y": 1.0}
     assert town.client.post("/enroll", params=given, content=image, headers=JPEG).status_code == 201
     assert town.ageing() == []
+
+
+def test_days_before_a_view_was_enrolled_are_not_compared_with_those_after_it(town: Town) -> None:
+    enrolled = NOW - timedelta(days=3 * 13 + 2)
+    for number, name in enumerate(PLACES[:2]):
+        town.take(name, Position(x=100.0 * number, y=1.0), -6, enrolled)
+    town.settle()
+    fell_then, falls_since = [0.9] * 14 + [0.6] * 14, [0.95] * 14 + [0.85] * 7 + [0.6] * 7
+    for name, scores in zip(PLACES, (fell_then, falls_since, [0.8] * 28, [0.8] * 28, [0.8] * 28), strict=False):
+        town.matched(name, scores)
+
+    [found] = town.ageing()
+
+    assert found["places"] == [PLACES[1]]
+    assert (found["scores"]["then"], found["scores"]["days"]) == (pytest.approx(0.85), 7)
+    assert found["scores"]["since"] == str(NOW.date() - timedelta(days=3 * 13 + 1))
 
 
 def test_places_that_fall_together_are_one_finding_of_the_map(town: Town) -> None:

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
 from typing import Protocol
 
@@ -100,26 +100,34 @@ class AgeingPlaces:
     def _examine(self, record: MapRecord) -> tuple[list[_Place], MatchDays]:
         within = record.ranking.same_place_m
         scores = self._scores.of(record.name)
-        places = [
-            one
-            for one in _trends(scores, within)
-            if not (one.trend.is_ageing() and self._is_refreshed(record.name, one, within))
-        ]
-        return places, MatchDays.of(scores)
+        found = _trends(scores, within)
+        places = [self._refreshed(record.name, one, within) if one.trend.is_ageing() else one for one in found]
+        return [one for one in places if one is not None], MatchDays.of(scores)
 
-    def _is_refreshed(self, name: str, place: _Place, within: float) -> bool:
-        """Whether a view of the place was enrolled since its newest days began: what these say is of before."""
+    def _refreshed(self, name: str, place: _Place, within: float) -> _Place | None:
+        """A place by its days since its newest view was enrolled, if that was after the first of them.
+
+        None where these are too few: days of before are scores of other views.
+        """
+        enrolled = self._newest(name, place, within)
+        if enrolled is None or enrolled < place.trend.since:
+            return place
+        of = trend({day: mean for day, mean in _means(place.views).items() if day > enrolled})
+        return None if of is None else replace(place, trend=of)
+
+    def _newest(self, name: str, place: _Place, within: float) -> int | None:
+        """Day on which the newest view of a place was enrolled; None where that is not known."""
         where = known_position(place.views[0])
         if place.views[0].known.name is not None:
             filters = Filters(place=place.views[0].known.name)
         elif where is None:
-            return False
+            return None
         elif where.lat is not None:
             filters = Filters(near=(where.lat, where.lon or 0.0, within), geographic=True)
         else:
             filters = Filters(near=(where.x or 0.0, where.y or 0.0, within), geographic=False)
         views, _ = self._views.list(name, filters, newest_first=True, limit=1)
-        return any(view.enrolled_at.astimezone(UTC).toordinal() >= place.trend.recent for view in views)
+        return views[0].enrolled_at.astimezone(UTC).toordinal() if views else None
 
 
 def _trends(views: Sequence[MatchedView], same_place_m: float) -> list[_Place]:
