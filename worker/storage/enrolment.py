@@ -186,7 +186,7 @@ class Enrolment(Part):
         how: "_How",
         steady_s: float | None,
     ) -> Submitted:
-        view_id, elapsed_us = self._order.following(connection, how.now, steady_s)
+        view_id, elapsed_us = self._order.following(connection, row.id, how.now, steady_s)
         columns = {
             "id": view_id,
             "map_id": row.id,

@@ -2,13 +2,16 @@
 
 A map without a name is found by no call, and is removed when the service starts, or by another one ten minutes after
 the last sign of who restored it: whatever ends a restoration half way, nothing of it is ever seen.
+
+Its views have the times between them that they had, up to the view that this service enrolled last, and no time passes
+by them: views of other maps are as old as before.
 """
 
 import hashlib
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
@@ -18,7 +21,7 @@ from worker.storage import checksums, clock, switching
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
 from worker.storage.enrolment import fact_columns, keep_pairs
-from worker.storage.enrolment_order import following_id
+from worker.storage.enrolment_order import following_id, present
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.removals import GIVEN_UP, Removals
@@ -87,8 +90,7 @@ class Restoring(Part, again=False):
                 _refuse_taken(connection, name)
             if self._database.space is not None:  # rows are written to the journal first, then to the database
                 self._database.space.admit(path.stat().st_size + told.row_bytes)
-            new_ids = self._verify(reader, told)
-            restoration = _Restoration(self._database, self._images, told, new_ids)
+            restoration = _Restoration(self._database, self._images, told, self._verify(reader, told))
             try:
                 restoration.store(reader)
                 return restoration.finish(name, now)
@@ -101,9 +103,9 @@ class Restoring(Part, again=False):
                     ) from error
                 raise
 
-    def _verify(self, reader: SnapshotReader, told: SnapshotFacts) -> bool:
-        """Compare the whole file with its manifest and its rows with each other; returns whether ids are taken."""
-        taken = False
+    def _verify(self, reader: SnapshotReader, told: SnapshotFacts) -> "_Verified":
+        """Compare the whole file with its manifest and its rows with each other."""
+        taken, elapsed_us = False, 0
         images: set[bytes] = set()
         ids: set[str] = set()
         numbers = [-1]
@@ -122,6 +124,7 @@ class Restoring(Part, again=False):
                 taken = taken or self._are_taken([view.id for view in found])
                 for view in found:
                     _check_view(view, numbers, images, ids, told.keep_images)
+                    elapsed_us = view.elapsed_us
                 views += len(found)
             elif part.name.startswith(COMPARISON_PARTS):
                 read_comparisons(part.name, part.body)
@@ -131,7 +134,7 @@ class Restoring(Part, again=False):
             raise BadSnapshot(f"it has {views} views; its {FACTS} says {told.views}")
         if vocabulary not in (None, told.description.vocabulary):
             raise BadSnapshot("its vocabulary is not the one of its recipe")
-        return taken
+        return _Verified(taken, elapsed_us)
 
     def _are_taken(self, ids: list[str]) -> bool:
         with self._database.reading() as connection:
@@ -147,6 +150,13 @@ class Restoring(Part, again=False):
             self._removals.withdraw(restoration.map_id)
         except Exception:
             log.exception("what was restored so far is removed later, or at the next start")
+
+
+class _Verified(NamedTuple):
+    """Of a whole snapshot: whether this service has one of its ids, and the elapsed time of its last view."""
+
+    taken: bool
+    elapsed_us: int
 
 
 def _check_view(view: SnapshotView, numbers: list[int], images: set[bytes], ids: set[str], keep_images: bool) -> None:
@@ -180,18 +190,17 @@ def _key_of(inserted: sa.CursorResult[Any]) -> int:
 class _Restoration:
     """One map while it is being stored, in portions, so that other writers do not wait for all of it."""
 
-    def __init__(self, database: Database, images: ImageStore, told: SnapshotFacts, new_ids: bool) -> None:
+    def __init__(self, database: Database, images: ImageStore, told: SnapshotFacts, verified: _Verified) -> None:
         self._database, self._images, self._told = database, images, told
         self._recipe = told.description
-        self.new_ids = new_ids
+        self.new_ids = verified.taken
         self.map_id: int | None = None
         self._told_until: datetime | None = None
         self._revision = 0
         self._seqs: dict[int, int] = {}
         self._pending: list[int] = []
         self._undescribed: set[int] = set()
-        self._elapsed_us = 0
-        self._shift_us: int | None = None
+        self._ended_us, self._shift_us = verified.elapsed_us, 0
         self._last_id: str | None = None
 
     def store(self, reader: SnapshotReader) -> None:
@@ -267,12 +276,11 @@ class _Restoration:
             map_id = _key_of(made)
             self._revision = clock.tick(connection, map_id)
             connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(anew=self._revision))
-            newest = connection.execute(
-                sa.select(VIEWS.c.id, VIEWS.c.elapsed_us).order_by(VIEWS.c.seq.desc()).limit(1)
-            ).one_or_none()
+            self._last_id = connection.scalar(sa.select(VIEWS.c.id).order_by(VIEWS.c.seq.desc()).limit(1))
+            enrolled_us = present(connection)
         self.map_id = map_id
-        self._elapsed_us = 0 if newest is None else newest.elapsed_us
-        self._last_id = None if newest is None else newest.id
+        # A microsecond before the view enrolled last, by which that is known: see enrolment_order.py.
+        self._shift_us = (0 if enrolled_us is None else enrolled_us - 1) - self._ended_us
 
     def _store_views(self, connection: sa.Connection, views: list[SnapshotView]) -> None:
         rows: dict[sa.Table, list[dict[str, Any]]] = {}
@@ -285,8 +293,6 @@ class _Restoration:
     def _store_view(self, connection: sa.Connection, view: SnapshotView) -> dict[sa.Table, dict[str, Any]]:
         """Store a view; returns the rows of its description."""
         assert self.map_id is not None
-        if self._shift_us is None:  # time since the last enrolment goes on from what this service has counted
-            self._shift_us = self._elapsed_us - view.elapsed_us
         said = attributes(view)
         view_id = view.id
         if self.new_ids:
@@ -295,7 +301,7 @@ class _Restoration:
             "id": view_id,
             "map_id": self.map_id,
             "enrolled_at": view.enrolled_at,
-            "elapsed_us": max(self._elapsed_us, view.elapsed_us + self._shift_us),
+            "elapsed_us": min(view.elapsed_us, self._ended_us) + self._shift_us,
             **fact_columns(facts(view)),
             "sent_sha256": view.sent_sha256,
             **attribute_columns(said),

@@ -11,7 +11,7 @@ from schemas.errors import Damaged
 from schemas.recipe import DescriptionRecipe
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore, forgets
-from worker.storage.snapshot_rows import WrittenView, written_views
+from worker.storage.snapshot_rows import WrittenView, first_elapsed, written_views
 from worker.storage.tables import VIEWS
 
 MOST_VIEWS, MOST_BYTES = 64, 8 * 1024 * 1024
@@ -77,6 +77,7 @@ class Portions:
     ) -> None:
         self._database, self._images, self._connection = database, images, connection
         self._map_id, self._recipe = map_id, recipe
+        self._since_us = first_elapsed(connection, map_id)
 
     def all(self, views: Sequence[SizedView]) -> Iterator[Portion]:
         """Portions of views that are given in enrolment order; raises Damaged where one cannot be told whole."""
@@ -85,7 +86,8 @@ class Portions:
                 before: list[Future[list[_Read]]] = []
                 for seqs in portions(views):
                     without = without_image(self._connection, self._map_id, seqs)
-                    written = list(zip(seqs, written_views(self._connection, seqs, self._recipe), strict=True))
+                    rows = written_views(self._connection, seqs, self._recipe, self._since_us)
+                    written = list(zip(seqs, rows, strict=True))
                     reading = [
                         readers.submit(self._read, written[at : at + TOGETHER], without)
                         for at in range(0, len(written), TOGETHER)
@@ -134,7 +136,7 @@ class Portions:
                 return None
             if not without_image(connection, self._map_id, [seq]):
                 raise why
-            [view] = written_views(connection, [seq], self._recipe)
+            [view] = written_views(connection, [seq], self._recipe, self._since_us)
         if not view.bodies:
             raise why
         return view

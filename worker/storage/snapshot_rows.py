@@ -41,8 +41,19 @@ class WrittenView(NamedTuple):
     bodies: tuple[bytes, ...]
 
 
-def written_views(connection: sa.Connection, seqs: Sequence[int], recipe: DescriptionRecipe) -> list[WrittenView]:
-    """Views in enrolment order; raises Damaged for attributes that are.
+def first_elapsed(connection: sa.Connection, map_id: int) -> int:
+    """The elapsed time that is 0 in a map's snapshot: where it is negative, that of the map's first view.
+
+    Of a view that was restored it may be (see `restoring.py`), and snapshots have no negative ones.
+    """
+    least = connection.scalar(sa.select(sa.func.min(VIEWS.c.elapsed_us)).where(VIEWS.c.map_id == map_id))
+    return min(0, int(least or 0))
+
+
+def written_views(
+    connection: sa.Connection, seqs: Sequence[int], recipe: DescriptionRecipe, since_us: int
+) -> list[WrittenView]:
+    """Views in enrolment order, their elapsed times counted from `since_us`; raises Damaged for attributes that are.
 
     A view whose description is missing or damaged goes without: where it is restored, it is described from its image.
     """
@@ -50,7 +61,9 @@ def written_views(connection: sa.Connection, seqs: Sequence[int], recipe: Descri
     rows = connection.execute(_rows(), {"seqs": seqs, "recipe": of}).all()
     names = tuple(_rows().selected_columns.keys())
     knowns = [dict(zip(names, row, strict=True)) for row in rows]  # many times as quick as a column at a time
-    return [_written(row, known, _described(known, recipe, of)) for row, known in zip(rows, knowns, strict=True)]
+    return [
+        _written(row, known, _described(known, recipe, of), since_us) for row, known in zip(rows, knowns, strict=True)
+    ]
 
 
 def comparison_lines(
@@ -83,7 +96,7 @@ def comparison_lines(
         ]
 
 
-def _written(row: sa.Row[Any], known: Mapping[str, Any], described: "_Described | None") -> WrittenView:
+def _written(row: sa.Row[Any], known: Mapping[str, Any], described: "_Described | None", since_us: int) -> WrittenView:
     if not has_whole_attributes(row):
         raise Damaged(DAMAGED_VIEW.format(row.id))
     ready, failed = known["state"] == "ready" and described is not None, known["state"] == "failed"
@@ -94,10 +107,8 @@ def _written(row: sa.Row[Any], known: Mapping[str, Any], described: "_Described 
         "metadata": json.loads(known["metadata"]),
         "filename": known["filename"],
         "enrolled_at": _moment(known["enrolled_at"]),
-        **{
-            name: known[name]
-            for name in ("elapsed_us", "sha256", "sent_sha256", "width", "height", "byte_count", "format")
-        },
+        "elapsed_us": known["elapsed_us"] - since_us,
+        **{name: known[name] for name in ("sha256", "sent_sha256", "width", "height", "byte_count", "format")},
         "state": "ready" if ready else "failed" if failed else "pending",
         "failure_code": known["failure_code"] if failed else None,
         "failure_detail": known["failure_detail"] if failed else None,
