@@ -13,8 +13,9 @@ from tests.storage.conftest import Open
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, finish, image, recipe
 from worker.storage import snapshot_portions
 from worker.storage.examining import examine
+from worker.storage.snapshot_rows import WrittenView
 from worker.storage.store import SqlStore
-from worker.storage.tables import CELLS, MAPS, VIEWS
+from worker.storage.tables import CELLS, MAPS
 
 
 def files(data: Path) -> set[str]:
@@ -178,10 +179,29 @@ def test_a_snapshot_carries_the_map_without_its_images(forgetful: SqlStore, else
             elsewhere.views.image(view.id)
 
 
-def test_a_snapshot_that_lacks_the_image_of_a_pending_view_is_refused(forgetful: SqlStore, elsewhere: SqlStore) -> None:
-    view = enroll(forgetful, "pending").view
-    with forgetful._database.writing() as connection:  # as a file would be that was made by hand
-        connection.execute(sa.update(VIEWS).where(VIEWS.c.id == view.id).values(state="ready"))
+def test_a_damaged_description_makes_no_snapshot_until_the_image_is_enrolled_again(
+    forgetful: SqlStore, elsewhere: SqlStore, data: Path
+) -> None:
+    _, view = views(forgetful)
+    with forgetful._database.writing() as connection:
+        connection.execute(sa.update(CELLS).where(CELLS.c.seq == view.seq).values(body=b"damaged"))
+    with pytest.raises(Damaged, match=f"the description of the view {view.id} is damaged"):
+        made(forgetful)
+    assert not list((data / "snapshots").iterdir())
+    assert forgetful.views.get(view.id).state == "failed"
+    assert enroll(forgetful, "yard").view.id == view.id
+    describe_all(forgetful)
+    assert elsewhere.restoring.restore(made(forgetful), None, NOW).pending == 0
+
+
+def test_a_snapshot_that_lacks_the_image_of_a_pending_view_is_refused(
+    forgetful: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without_images(self: object, views: list[tuple[int, WrittenView]], without: object) -> list[object]:
+        return [snapshot_portions._Read(seq, view, None) for seq, view in views]
+
+    enroll(forgetful, "pending")
+    monkeypatch.setattr(snapshot_portions.Portions, "_read", without_images)  # as a file made by hand would be
     with pytest.raises(BadSnapshot, match="is missing"):
         elsewhere.restoring.restore(made(forgetful), None, NOW)
     assert elsewhere.maps.all() == []

@@ -9,6 +9,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged
 from schemas.recipe import DescriptionRecipe
+from worker.storage.damage import Quarantine
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore, forgets
 from worker.storage.snapshot_rows import WrittenView, first_elapsed, written_views
@@ -19,6 +20,11 @@ MOST_VIEWS, MOST_BYTES = 64, 8 * 1024 * 1024
 
 IMAGE_THREADS, TOGETHER = 4, 16
 """Threads that read images, and images that one of them reads at a time."""
+
+DAMAGED_DESCRIPTION = (
+    "the description of the view {} is damaged, and its map keeps no image to make another from, so that no whole "
+    "snapshot can be made; enrol its image again, or delete it"
+)
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class SizedView(NamedTuple):
 
 
 class _Read(NamedTuple):
-    """A view with its image, or why that cannot be read; None: it goes without."""
+    """A view with its image, or why it has neither that nor a description; None: it goes without."""
 
     seq: int
     view: WrittenView
@@ -101,11 +107,14 @@ class Portions:
                 readers.shutdown(wait=False, cancel_futures=True)
 
     def _read(self, views: list[tuple[int, WrittenView]], without: Collection[int]) -> list[_Read]:
-        """Views with their images, those apart that go without."""
+        """Views with their images, those apart that go without, which need their descriptions."""
         read = []
         for seq, view in views:
             image: bytes | Damaged | None = None
-            if seq not in without:
+            if seq in without:
+                if not view.bodies:  # as it is, it could be restored from nothing
+                    image = Damaged(DAMAGED_DESCRIPTION.format(view.id))
+            else:
                 try:
                     image = self._images.read(view.digest)
                 except Damaged as error:
@@ -129,7 +138,8 @@ class Portions:
     def _now(self, seq: int, why: Damaged) -> WrittenView | None:
         """A view that lost its image as it is by now: without one, since it is described; None: it was deleted.
 
-        Raises Damaged, `why`, where it needs its image.
+        Raises Damaged, `why`, where it needs its image. A damaged description is set aside, so that the image can be
+        enrolled again.
         """
         with self._database.reading() as connection:
             if connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.seq == seq)) is None:
@@ -138,6 +148,7 @@ class Portions:
                 raise why
             [view] = written_views(connection, [seq], self._recipe, self._since_us)
         if not view.bodies:
+            Quarantine(self._database).descriptions({seq: ""}, self._recipe.id)
             raise why
         return view
 

@@ -34,8 +34,9 @@ DAMAGED_VIEW = (
 
 
 class WrittenView(NamedTuple):
-    """A view as it goes into a snapshot: the SHA-256 of its image, its line, and the bodies of its description."""
+    """A view as it goes into a snapshot: its id, its image by SHA-256, its line, and the bodies of its description."""
 
+    id: str
     digest: str
     line: bytes
     bodies: tuple[bytes, ...]
@@ -119,7 +120,7 @@ def _written(row: sa.Row[Any], known: Mapping[str, Any], described: "_Described 
         sizes = {name: len(described.bodies[name]) if name in described.bodies else None for name in BODIES}
         view["description"] = described.facts | sizes
         bodies = tuple(described.bodies[name] for name in BODIES if name in described.bodies)
-    return WrittenView(known["sha256"], to_json(view) + b"\n", bodies)
+    return WrittenView(known["id"], known["sha256"], to_json(view) + b"\n", bodies)
 
 
 def _moment(value: datetime | None) -> str | None:
