@@ -3,11 +3,23 @@
 import pytest
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, InvalidParameters, RecipeChanged
+from schemas.errors import Conflict, InvalidParameters, LeaseLost, RecipeChanged
 from schemas.map_changes import MapChanges
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import Filters, JobRecord
-from tests.storage.material import NOW, RECIPE, Follower, describe_all, enroll, finish, recipe, vector
+from tests.storage.material import (
+    NO_ATTRIBUTES,
+    NOW,
+    RECIPE,
+    Follower,
+    describe_all,
+    enroll,
+    facts,
+    finish,
+    image,
+    recipe,
+    vector,
+)  # fmt: skip
 from worker.storage.store import SqlStore
 from worker.storage.tables import JOBS
 
@@ -241,3 +253,48 @@ def test_a_recipe_made_from_another_than_the_map_has_by_now_is_refused(store: Sq
             start(outdated)
     assert store.jobs.count_waiting(redescriptions=True) == 0
     assert start(present).kind in ("recipe", "shadow")
+
+
+@pytest.mark.parametrize("shadow", [False, True], ids=["switch", "shadow"])
+@pytest.mark.parametrize("first", ["refused", "by the next recipe", "the change of recipe"])
+def test_a_view_that_is_refused_as_poor_is_described_by_no_recipe(store: SqlStore, first: str, shadow: bool) -> None:
+    gate = enroll(store, "gate").view
+    describe_all(store)
+    if shadow:
+        store.jobs.begin_shadow("campus", PAPER, 5, NOW)
+    else:
+        store.jobs.switch_recipe("campus", PAPER, NOW)
+    body = image("fog")
+    fog = store.enrolment.submit(
+        "campus", body, facts(body), NO_ATTRIBUTES, RECIPE, NOW, background=True, refuse_poor=True
+    ).view
+    claims = {(claim.view.id, claim.recipe == PAPER.description): claim for claim in store.jobs.claim("worker", 9)}
+    if first == "by the next recipe":
+        finish(store, claims[fog.id, True])
+    elif first == "the change of recipe":
+        finish(store, claims[fog.id, True])
+        finish(store, claims[gate.id, True])
+    follower, known = Follower(store).catch_up(), store.descriptions.since("campus", 0, PAPER.description)
+
+    store.jobs.fail(claims[fog.id, False], "poor-picture", "it shows mostly what moves", NOW)
+
+    if first == "refused":
+        with pytest.raises(LeaseLost):
+            finish(store, claims[fog.id, True])
+    assert list(follower.catch_up().vectors) == [gate.seq]
+    later = store.descriptions.since("campus", known.revision, PAPER.description)
+    assert set(known.seqs.tolist()) - set(later.gone.tolist()) <= {gate.seq}
+    if first != "the change of recipe":
+        finish(store, claims[gate.id, True])
+    if shadow:
+        claim = store.jobs.claim_map_job("worker", NOW)
+        assert claim is not None
+        store.jobs.finish_shadow(claim, {"wanted": 5, "queries": []}, NOW)
+        store.jobs.switch_to_shadow("campus", NOW)
+    assert recipe_of(store) == "paper"
+    refused = store.views.get(fog.id)
+    assert (refused.state, refused.failure) == ("failed", ("poor-picture", "it shows mostly what moves"))
+    assert list(Follower(store).catch_up().vectors) == list(follower.catch_up().vectors) == [gate.seq]
+    assert enroll(store, "fog").view.id == fog.id  # sent again, it is judged again
+    describe_all(store)
+    assert list(follower.catch_up().vectors) == [gate.seq, fog.seq]

@@ -8,13 +8,14 @@ from typing import Any, get_args
 import sqlalchemy as sa
 
 from schemas.description import Description
-from schemas.errors import Damaged, LeaseLost
+from schemas.errors import Damaged, LeaseLost, PoorImage
 from schemas.records import Claim, JobKind, MapClaim
 from worker.storage import clock, forgetting, switching
+from worker.storage.damage import bury
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
 from worker.storage.rows import batches, find_map, find_recipe, log, view_record, views_of
-from worker.storage.tables import JOBS, MAPS, VIEWS
+from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, VIEWS
 
 ATTEMPTS = 3
 
@@ -100,9 +101,15 @@ class Jobs(Part):
         return changed_over or searchable
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
-        """End a job as failed; its view stays, `failed`, with this reason; raises LeaseLost."""
+        """End a job as failed; its view stays, `failed`, with this reason; raises LeaseLost.
+
+        A view that is refused as poor is so by every recipe: no other job describes it.
+        """
         with self._database.writing() as connection:
-            self.settle(connection, self._held(connection, claim), "failed", now, (code, detail))
+            job = self._held(connection, claim)
+            if code == PoorImage.code:
+                _refuse(connection, job, now, detail)
+            self.settle(connection, job, "failed", now, (code, detail))
 
     def _held(self, connection: sa.Connection, claim: Claim) -> sa.Row[Any]:
         """The job of a claim that is still valid; raises LeaseLost."""
@@ -173,3 +180,14 @@ class Jobs(Part):
         """
         with self._database.reading() as connection:
             return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)
+
+
+def _refuse(connection: sa.Connection, job: sa.Row[Any], now: datetime, detail: str) -> None:
+    """Fail the view of a job as poor, cancel its other jobs, as those of a recipe switch, and drop what these made."""
+    refused = {"failure_code": PoorImage.code, "failure_detail": detail}
+    others = JOBS.c.seq == job.seq, JOBS.c.number != job.number, JOBS.c.state.in_(switching.UNFINISHED)
+    ended = {"state": "cancelled", "token": None, "finished_at": now, **refused}
+    connection.execute(sa.update(JOBS).where(*others).values(**ended))
+    connection.execute(_VIEW_SETTLES, {"of": job.seq, "state": "failed", **refused})
+    if connection.execute(sa.delete(DESCRIPTIONS).where(DESCRIPTIONS.c.seq == job.seq)).rowcount:
+        bury(connection, job.map_id, [job.seq])

@@ -310,7 +310,9 @@ def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
     One that was refused as poor stays so until its image is sent again.
     """
     own = sa.update(VIEWS).where(VIEWS.c.map_id == map_id)
-    connection.execute(own.where(is_described(recipe)).values(state="ready", failure_code=None, failure_detail=None))
+    connection.execute(
+        own.where(is_described(recipe), ~_REFUSED).values(state="ready", failure_code=None, failure_detail=None)
+    )
     last = (
         sa.select(sa.func.max(JOBS.c.number))
         .where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.recipe == recipe)
