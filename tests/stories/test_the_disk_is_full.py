@@ -13,6 +13,7 @@ import pytest
 from lab.faults.small_disk import NotMounted, fill, small_disk
 from tests.failing_writes import failing_writes
 from tests.sample_images import drawn, encoded
+from tests.stories.importing import ZIP, is_emptied, zipped
 from tests.stories.running import RunningService
 
 pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
@@ -147,6 +148,24 @@ def test_a_service_starts_on_a_full_disk_and_lets_it_be_emptied(disk: Path) -> N
         assert client.delete(f"/views/{view}").status_code == 200
         hog.unlink()
         until(client, is_ready)
+
+
+def test_an_import_whose_recording_fills_the_disk_can_be_cancelled(disk: Path) -> None:
+    with (
+        RunningService(disk / "data", False, **SETTINGS, REVISIT_INLINE_WORKER="false") as service,
+        httpx.Client(base_url=service.url, timeout=ANSWER_S) as client,
+    ):
+        client.put("/maps/default", json={})
+        recording = zipped({f"{number}.jpg": image(number) for number in range(20)})
+        job = client.post("/maps/default/imports", content=recording, headers=ZIP).json()["id"]
+        hog = fill(disk)
+        answer = client.delete(f"/jobs/{job}")
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["state"] == "cancelled"
+        assert is_emptied(disk / "data" / "imports")
+        answer = client.patch("/maps/default", json={"keep_images": False})
+        assert answer.status_code == 200, answer.text
+        hog.unlink()
 
 
 @pytest.mark.slow

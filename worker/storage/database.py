@@ -117,7 +117,7 @@ class Database:
             raise problem from error
 
     def freeing(self, work: Callable[[sa.Connection], T]) -> T:
-        """Run a deletion in a transaction, on a full disk with the reserve given up for it; raises DiskFull.
+        """Run what makes room in a transaction, on a full disk with the reserve given up for it; raises DiskFull.
 
         `work` is run again where it was rolled back, also after others of the same call.
         """

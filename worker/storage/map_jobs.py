@@ -222,7 +222,8 @@ class MapJobs(Jobs):
         Conflict
             The job can no longer be cancelled.
         """
-        with self._database.writing() as connection:
+
+        def end(connection: sa.Connection) -> tuple[JobRecord, int | None]:
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
             if job is None:
                 raise NotFound("job", job_id)
@@ -238,10 +239,13 @@ class MapJobs(Jobs):
                     switching.stop(connection, job.map_id, job.recipe, now)
                 kept = _LEFT.get(job.kind, switching.DISCARDED)
                 _end(connection, job.number, "cancelled", now, ("cancelled", kept))
-            cancelled = record_of(connection, job_id)
             forgetful = job.kind == "recipe" and forgets(connection, job.map_id)
-        if forgetful:  # images that were kept to be described once more
-            forgetting.remove_all(self._database, self._images, job.map_id)
+            return record_of(connection, job_id), job.map_id if forgetful else None
+
+        # Its recording, or its half of a snapshot, may be what fills the disk.
+        cancelled, forgetful = self._database.freeing(end)
+        if forgetful is not None:  # images that were kept to be described once more
+            forgetting.remove_all(self._database, self._images, forgetful)
         return cancelled
 
 

@@ -147,9 +147,16 @@ class Maps(Part):
             Words are to be blurred that are to be seen in images of the map's views; images are no longer to be kept,
             but a job reads them or the map has a shadow; or they are to be kept again, but those of views are gone.
         """
-        with self._database.writing(frees=changes.frees) as connection:
+
+        def change(connection: sa.Connection) -> tuple[MapRecord, int | None]:
             forgets = map_settings.change(connection, name, changes)
-            record = map_record(connection, find_map(connection, name))
+            return map_record(connection, find_map(connection, name)), forgets
+
+        if changes.frees:
+            record, forgets = self._database.freeing(change)
+        else:
+            with self._database.writing() as connection:
+                record, forgets = change(connection)
         if forgets is not None:
             forgetting.remove_all(self._database, self._images, forgets)
         return record

@@ -112,13 +112,16 @@ class ShadowJobs(ImportJobs):
 
     def discard_shadow(self, name: str, now: datetime) -> JobRecord:
         """Discard the shadow of a map, ready or not; of its table the totals stay. Returns its job; raises NotFound."""
-        with self._database.writing() as connection:
+
+        def discard(connection: sa.Connection) -> JobRecord:
             row = find_map(connection, name)
             shadow = _shadow(connection, row)
             switching.stop(connection, row.id, row.next_recipe, now)
             switching.end_shadow(connection, row.id, now)
             switching.drop_rows(connection, shadow.job.id)
             return record_of(connection, shadow.job.id)
+
+        return self._database.freeing(discard)  # its descriptions go next
 
 
 def _shadow(connection: sa.Connection, row: sa.Row[Any]) -> ShadowRecord:
