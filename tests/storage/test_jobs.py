@@ -6,6 +6,7 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+import sqlalchemy as sa
 
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.records import Filters
@@ -24,6 +25,7 @@ from tests.storage.material import (
     recipe,
 )
 from worker.storage.store import SqlStore, open_store
+from worker.storage.tables import RECIPES
 
 
 def test_the_oldest_job_goes_first(store: SqlStore) -> None:
@@ -33,6 +35,20 @@ def test_the_oldest_job_goes_first(store: SqlStore) -> None:
     assert [claim.view.id for claim in store.jobs.claim("two", 2)] == [views[2].id]
     assert store.jobs.claim("three", 2) == []
     assert store.jobs.count_waiting() == 3
+
+
+def test_jobs_of_damaged_recipes_are_left_and_those_behind_them_go_on(store: SqlStore) -> None:
+    for number, name in enumerate(["one", "other"]):
+        damaged = recipe(name)
+        for at in range(2 + number):
+            enroll(store, f"{name} {at}", map=name, by=damaged)
+        with store._database.writing() as connection:
+            connection.execute(sa.update(RECIPES).where(RECIPES.c.id == damaged.description.id).values(body="{}"))
+    views = [enroll(store, name).view for name in ("gate", "pond", "stairs")]
+    assert [claim.view.id for claim in store.jobs.claim("one", 2)] == [views[0].id, views[1].id]
+    assert [claim.view.id for claim in store.jobs.claim("two", 2)] == [views[2].id]
+    assert store.jobs.claim("three", 2) == []
+    assert store.jobs.count_waiting() == 8
 
 
 def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_nothing(store: SqlStore) -> None:

@@ -1,7 +1,7 @@
 """Describe jobs: claimed by a worker, finished once, failed after three attempts."""
 
 import secrets
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any, get_args
 
@@ -9,6 +9,7 @@ import sqlalchemy as sa
 
 from schemas.description import Description
 from schemas.errors import Damaged, LeaseLost, PoorImage
+from schemas.recipe import DescriptionRecipe
 from schemas.records import Claim, JobKind, MapClaim
 from worker.storage import clock, forgetting, switching
 from worker.storage.damage import bury
@@ -57,22 +58,22 @@ class Jobs(Part):
             if connection.execute(_ANY_WAITING).first() is None:
                 return []
         with self._database.writing(in_turn=False) as connection:
-            return self._claim(connection, list(connection.execute(_OLDEST_WAITING, {"most": int(count)})), worker)
+            jobs, recipes = _oldest_waiting(connection, int(count))
+            return self._claim(connection, jobs, recipes, worker)
 
-    def _claim(self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str) -> list[Claim]:
+    def _claim(
+        self,
+        connection: sa.Connection,
+        jobs: list[sa.Row[Any]],
+        recipes: Mapping[str, DescriptionRecipe],
+        worker: str,
+    ) -> list[Claim]:
         tokens = {job.number: secrets.token_hex(16) for job in jobs}
         views = {}
         for portion in batches(job.seq for job in jobs):
             rows = connection.execute(views_of(), {"seqs": portion})
             views.update({row.seq: view_record(row) for row in rows})
-        recipes = {}
-        for recipe in {job.recipe for job in jobs}:
-            try:
-                recipes[recipe] = find_recipe(connection, recipe)
-            except Damaged as error:
-                log.error("jobs are left alone: %s", error.detail)
-        # What is damaged beyond use is left for `revisit doctor`; the jobs behind it go on.
-        jobs = [job for job in jobs if job.recipe in recipes and job.seq in views]
+        jobs = [job for job in jobs if job.seq in views]
         for job in jobs:
             held = {"state": "running", "worker": worker, "token": tokens[job.number]}
             connection.execute(_CLAIMED, {"of": job.number, **held})
@@ -180,6 +181,28 @@ class Jobs(Part):
         """
         with self._database.reading() as connection:
             return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)
+
+
+def _oldest_waiting(connection: sa.Connection, most: int) -> tuple[list[sa.Row[Any]], dict[str, DescriptionRecipe]]:
+    """The oldest jobs that wait, and their recipes by id.
+
+    Jobs of a recipe that is damaged beyond use are left for `revisit doctor`; those behind them go on.
+    """
+    recipes: dict[str, DescriptionRecipe] = {}
+    damaged: list[str] = []
+    oldest = _OLDEST_WAITING
+    while True:
+        jobs = list(connection.execute(oldest, {"most": most}))
+        before = len(damaged)
+        for recipe in {job.recipe for job in jobs}.difference(recipes):
+            try:
+                recipes[recipe] = find_recipe(connection, recipe)
+            except Damaged as error:
+                log.error("jobs are left alone: %s", error.detail)
+                damaged.append(recipe)
+        if len(damaged) == before:
+            return jobs, recipes
+        oldest = _OLDEST_WAITING.where(JOBS.c.recipe.not_in(damaged))
 
 
 def _refuse(connection: sa.Connection, job: sa.Row[Any], now: datetime, detail: str) -> None:
