@@ -10,6 +10,7 @@
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static        PoorImage   poor-picture
     ├── NotFound           not-found             ImageNotKept image-not-kept
+    ├── ViewDeleted        not-found             (in reports of imports)
     ├── Conflict           conflict              BlurChanged, RecipeChanged conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden       OtherSite other-site
@@ -158,6 +159,12 @@ class NotFound(RevisitError):
 
     def __init__(self, kind: str, name: str, hint: str = "") -> None:
         super().__init__(f"there is no {kind} {echoed(name)!r}" + (f"; {hint}" if hint else ""))
+
+
+class ViewDeleted(RevisitError):
+    """An image of an import whose view was deleted meanwhile: it is not to come back."""
+
+    code = NotFound.code
 
 
 class NoPose(RevisitError):

@@ -301,6 +301,7 @@ LATER = ("keys", "kept_queries", "day_scores")
 def without_later(connection: sa.Connection) -> None:
     """Take away what came after revision 0008."""
     connection.exec_driver_sql("DROP TABLE installation")
+    connection.exec_driver_sql("DROP TABLE deleted_images")
     connection.exec_driver_sql("DROP TABLE kept_queries")
     connection.exec_driver_sql("DROP TABLE day_scores")
     connection.exec_driver_sql("DROP INDEX views_by_sent")
@@ -325,7 +326,8 @@ def without_later(connection: sa.Connection) -> None:
 
 
 def without_0022(connection: sa.Connection) -> None:
-    """Take away what came with revision 0022."""
+    """Take away what came with revision 0022, and later."""
+    connection.exec_driver_sql("DROP TABLE deleted_images")
     connection.exec_driver_sql("DROP INDEX kept_queries_in_order")
     connection.exec_driver_sql("ALTER TABLE kept_queries DROP COLUMN number")
     connection.exec_driver_sql("CREATE INDEX kept_queries_by_map ON kept_queries (map_id, id)")

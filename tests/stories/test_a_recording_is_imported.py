@@ -258,6 +258,26 @@ def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) 
             return
 
 
+def test_a_photo_that_is_deleted_meanwhile_does_not_come_back_after_a_kill(tmp_path: Path) -> None:
+    data, environment = tmp_path / "data", {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
+    with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
+        job_id = client.post("/maps/walk/imports", content=zipped(photos(100, 96)), headers=ZIP).json()["id"]
+        while not (views := client.get("/views?map=walk&state=ready").json()["views"]):
+            time.sleep(0.01)
+        assert client.delete(f"/views/{views[0]['id']}").json()["views"] == 1
+        assert client.get(f"/jobs/{job_id}").json()["state"] == "running", "it was over before the kill"
+        service.kill()
+
+    with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
+        report = ended(client, job_id)["result"]
+        assert (report["enrolled"], report["already_there"], report["failed"]) == (99, 0, 1)
+        [error] = report["errors"]
+        assert (error["file"].rpartition("/")[2], error["problem"]) == (views[0]["filename"], "not-found")
+        names = [view["filename"] for view in client.get("/views?map=walk&limit=100").json()["views"]]
+        assert len(names) == 99
+        assert views[0]["filename"] not in names
+
+
 def lying_about_its_size() -> bytes:
     return zipped({"a.jpg": photo(1)}).replace(b"PK\x05\x06\0\0\0\0\x01\0\x01\0", b"PK\x05\x06\0\0\0\0\xff\xff\xff\xff")
 

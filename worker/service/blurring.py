@@ -68,6 +68,8 @@ class Enrolment(Protocol):
         ------
         LeaseLost
             That job was cancelled, or went with its map.
+        ViewDeleted
+            The image was deleted while that job waited or ran.
         Conflict
             The same image is in the map with other attributes.
         BlurChanged
@@ -231,7 +233,7 @@ class BlurringEnrolment:
         EncoderAway
             A shared encoder would have to find what is blurred, and is away. Nothing is stored; what is imported in the
             background waits instead.
-        Conflict, LeaseLost, NotFound, DiskFull, StorageFailed
+        Conflict, LeaseLost, ViewDeleted, NotFound, DiskFull, StorageFailed
             As the store says.
         """
         for attempt in range(1, ATTEMPTS + 1):

@@ -251,7 +251,7 @@ class EnrollService:
                 gone = self._undone(submitted)  # a view that an earlier call acknowledged stays
                 raise PoorImage(detail if gone else f"{detail} ({KEPT.format(record.id)})")
             if submitted.created:
-                self._removals.delete_view(record.id)
+                self._removals.delete_view(record.id, undoes=True)
             raise RevisitError(detail)
         try:
             return self._told(accepted, view)
@@ -312,7 +312,7 @@ class EnrollService:
         if not submitted.created:
             return False
         try:
-            self._removals.delete_view(submitted.view.id)
+            self._removals.delete_view(submitted.view.id, undoes=True)
         except NotFound:
             return True
         except RevisitError:

@@ -183,7 +183,10 @@ class Importer:
     def submit(
         self, claim: MapClaim, data: bytes, attributes: ViewAttributes, image: Image, refuse_poor: bool
     ) -> Submitted:
-        """Store an image durably and queue its description; raises Conflict, LeaseLost, DiskFull, StorageFailed."""
+        """Store an image durably and queue its description.
+
+        Raises ViewDeleted, Conflict, LeaseLost, DiskFull, StorageFailed.
+        """
         try:
             submitted = self._enrolment.submit(
                 claim.map, data, image, attributes, None, _now(), steady.reading_s(), background=True,
@@ -205,7 +208,7 @@ class Importer:
     def drop(self, view_id: str) -> None:
         """Remove a view; does nothing where it was deleted."""
         with suppress(NotFound):
-            self._removals.delete_view(view_id)
+            self._removals.delete_view(view_id, undoes=True)
 
     def report(self, claim: MapClaim, report: Report) -> None:
         """Tell the store how far a job is; raises LeaseLost."""

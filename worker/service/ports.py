@@ -113,8 +113,8 @@ class Views(Protocol):
 class Removals(Protocol):
     """Deletions: rows, vectors and image files."""
 
-    def delete_view(self, view_id: str) -> Removal:
-        """Remove a view; raises NotFound."""
+    def delete_view(self, view_id: str, *, undoes: bool = False) -> Removal:
+        """Remove a view; raises NotFound. `undoes`: nobody was told of it, and an import may bring its image."""
         ...
 
     def delete_views(self, name: str, filters: Filters) -> Removal:

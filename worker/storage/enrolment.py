@@ -11,7 +11,7 @@ from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
-from worker.storage import checksums, clock, switching
+from worker.storage import checksums, clock, deleted_images, switching
 from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
@@ -135,6 +135,8 @@ class Enrolment(Part):
         NotFound
             There is no map, and no recipe to create it with.
         LeaseLost
+        ViewDeleted
+            The image was deleted while that job waited or ran.
         DiskFull
         ValueError
             The SHA-256 in `facts` is not that of the image.
@@ -142,8 +144,7 @@ class Enrolment(Part):
         if self._database.space is not None:
             self._database.space.admit(len(image), image=True)
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:
-            if job is not None:
-                held(connection, job)
+            claimed = None if job is None else held(connection, job)
             try:
                 row = find_map(connection, name)
             except NotFound:
@@ -158,6 +159,8 @@ class Enrolment(Part):
             columns = {**fact_columns(facts), "sent_sha256": None if covered is None else sent}
             view = _same_image(connection, row.id, sent, facts.sha256)
             if view is None:
+                if claimed is not None:
+                    deleted_images.refuse(connection, claimed.number, {sent, facts.sha256})
                 return self._enrol(connection, row, columns, attributes, how, steady_s)
             submitted = self._enrol_again(connection, row, view, columns, attributes, how)
         if row.drop_images or view.sha256 != facts.sha256:

@@ -9,6 +9,7 @@ import sqlalchemy as sa
 from schemas.errors import NotFound
 from schemas.recipe import MapRecipe
 from schemas.records import JobProgress, JobRecord, MapClaim
+from worker.storage import deleted_images
 from worker.storage.map_jobs import MapJobs, held, queue
 from worker.storage.maps import make_map
 from worker.storage.rows import as_json, find_map, maps_named
@@ -49,6 +50,7 @@ class ImportJobs(MapJobs):
             ended = {"state": "done", "token": None, "finished_at": now}
             told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
+            deleted_images.forget(connection, job.number)
 
     def unfinished_imports(self, name: str | None = None) -> set[str]:
         """Ids of the imports, into a map if one is named, that wait or run."""

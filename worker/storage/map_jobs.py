@@ -20,7 +20,7 @@ from uuid6 import uuid7
 from schemas.errors import Conflict, Damaged, LeaseLost, NotFound, RecipeChanged
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
-from worker.storage import checksums, forgetting, switching
+from worker.storage import checksums, deleted_images, forgetting, switching
 from worker.storage.calls import keep_vocabulary
 from worker.storage.image_store import forgets
 from worker.storage.jobs import ATTEMPTS, Jobs
@@ -304,6 +304,7 @@ def _end(connection: sa.Connection, number: int, state: JobState, now: datetime,
     ended = {"state": state, "token": None, "finished_at": now}
     reason = {"failure_code": failure[0], "failure_detail": failure[1]}
     connection.execute(sa.update(JOBS).where(JOBS.c.number == number).values(**ended, **reason))
+    deleted_images.forget(connection, number)
 
 
 @cache

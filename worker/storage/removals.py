@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from schemas.errors import DiskFull, StorageFailed
 from schemas.records import Filters
 from schemas.removal import Holding, Removal
-from worker.storage import clock, switching
+from worker.storage import clock, deleted_images, switching
 from worker.storage.damage import bury
 from worker.storage.database import Database
 from worker.storage.filtering import fitting
@@ -55,11 +55,14 @@ class Removals(Part):
         self._unfinished: set[int] = set()
         self._finishing: threading.Thread | None = None
 
-    def delete_view(self, view_id: str) -> Removal:
-        """Remove a view completely; raises NotFound."""
+    def delete_view(self, view_id: str, *, undoes: bool = False) -> Removal:
+        """Remove a view completely; raises NotFound.
+
+        `undoes`: an enrolment is taken back that nobody was told of, so that an import may bring its image.
+        """
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
-        gone = self._remove(row.map_id, [row.seq])
+        gone = self._remove(row.map_id, [row.seq], undoes=undoes)
         if gone.views == 0:  # deleted by another call meanwhile
             with self._database.reading() as connection:
                 find_view(connection, view_id)
@@ -195,12 +198,13 @@ class Removals(Part):
         except (DiskFull, StorageFailed) as error:  # the views are gone all the same
             log.warning("answers that name deleted views are kept until their day is over: %s", error.detail)
 
-    def _remove(self, map_id: int, seqs: Sequence[int]) -> "_Gone":
+    def _remove(self, map_id: int, seqs: Sequence[int], *, undoes: bool = False) -> "_Gone":
         """Delete views of a map, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
             which = VIEWS.c.seq.in_(seqs)
-            rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256).where(which)))
+            columns = VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256, VIEWS.c.sent_sha256
+            rows = list(connection.execute(sa.select(*columns).where(which)))
             descriptions = searched = queries = scores = 0
             if rows:
                 there = list(connection.execute(_DESCRIBED, {"seqs": seqs}))
@@ -210,6 +214,9 @@ class Removals(Part):
                 queries = connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs))).rowcount
                 scores = connection.execute(sa.delete(DAY_SCORES).where(DAY_SCORES.c.seq.in_(seqs))).rowcount
                 connection.execute(sa.delete(VIEWS).where(which))
+                if not undoes:
+                    known = {digest for row in rows for digest in (row.sha256, row.sent_sha256) if digest is not None}
+                    deleted_images.note(connection, map_id, known)
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
                 if (shadow := connection.scalar(sa.select(MAPS.c.shadow).where(MAPS.c.id == map_id))) is not None:
                     switching.drop_rows(connection, shadow, {row.id for row in rows})

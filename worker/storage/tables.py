@@ -6,7 +6,7 @@
     recipes                    description recipes by id
     maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints, comparisons
                                     ├───── metadata_pairs, day_scores
-                                    └───── jobs
+                                    └───── jobs ── deleted_images
                                ── tombstones, kept_queries
     vocabularies    calls    keys    workers      without references
 
@@ -232,6 +232,13 @@ JOBS = sa.Table(
     sa.Index("jobs_by_recipe", "map_id", "recipe", "state"),
     sa.Index("jobs_by_view", "seq", "recipe"),
     sqlite_autoincrement=True,
+)
+
+DELETED_IMAGES = sa.Table(  # while an import into their map waited or ran; see deleted_images.py
+    "deleted_images",
+    METADATA,
+    sa.Column("job", sa.BigInteger, sa.ForeignKey("jobs.number", ondelete="CASCADE"), primary_key=True),
+    sa.Column("sha256", sa.Text, primary_key=True),  # of what was sent or stored
 )
 
 TOMBSTONES = sa.Table(
