@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ from schemas.map_changes import MapChanges
 from schemas.records import Filters, Position, Replay, ViewAttributes
 from schemas.removal import Holding
 from schemas.wire import Enrolled, EnrolledMany
+from schemas.wire_views import rfc3339
 from tests.answers import enrolled
 from tests.storage.carried import made, views
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, image, recipe
-from worker.storage.calls import SINCE_CHANGED
+from worker.storage.answers import SINCE_CHANGED
 from worker.storage.image_files import Discarded
 from worker.storage.store import SqlStore
 from worker.storage.tables import CALLS
@@ -33,7 +34,8 @@ def quiet(done: int, total: int) -> None: ...
 def campus(store: SqlStore) -> SqlStore:
     """Three described views, one of whose images another map has too, and a pending one."""
     for name in ("gate", "yard", "hall"):
-        enroll(store, name, attributes=ViewAttributes("east" if name != "hall" else "west"))
+        has = ViewAttributes("east" if name != "hall" else "west", Position(x=0.5), NOW, filename="secret.jpg")
+        enroll(store, name, attributes=has)
     enroll(store, "gate", map="other")
     describe_all(store)
     return store
@@ -60,13 +62,30 @@ def test_what_is_gone_from_where(campus: SqlStore) -> None:
 
 def answered(store: SqlStore, key: str, *views: str) -> None:
     """An enrolment of some images, with an Idempotency-Key, the last of which is like the first."""
-    several = [enrolled() | {"view": VIEW | {"id": one, "filename": "secret.jpg"}, "warnings": []} for one in views]
-    several[-1]["warnings"] = [
-        {"code": "duplicate", "detail": f"it is like secret (view {views[0]})", "view": views[0]}
-    ]
-    body = several[0] if len(views) == 1 else {"views": several, "errors": [], "revision": 1, "timing_ms": {}}
     store.calls.begin(key, "print", NOW)
-    store.calls.end(key, Replay(201, {}, json.dumps(body).encode()), NOW)
+    store.calls.end(key, answer(store, *views), NOW)
+
+
+def answer(store: SqlStore, *views: str) -> Replay:
+    """The answer to an enrolment of some images, the last of which is like the first."""
+    several = [enrolled() | {"view": told(store, one), "warnings": []} for one in views]
+    like = f"it is like {several[0]['view']['place']!r} (view {views[0]})"
+    several[-1]["warnings"] = [{"code": "duplicate", "detail": like, "view": views[0]}]
+    body = several[0] if len(views) == 1 else {"views": several, "errors": [], "revision": 1, "timing_ms": {}}
+    return Replay(201, {}, json.dumps(body).encode())
+
+
+def told(store: SqlStore, view_id: str) -> dict[str, Any]:
+    """What an answer tells of a view."""
+    has = store.views.get(view_id).attributes
+    return VIEW | {
+        "id": view_id,
+        "place": has.place,
+        "position": asdict(has.position),
+        "captured_at": None if has.captured_at is None else rfc3339(has.captured_at),
+        "metadata": dict(has.metadata),
+        "filename": has.filename,
+    }
 
 
 def test_what_was_told_of_a_deleted_view_is_not_repeated(campus: SqlStore) -> None:
@@ -78,16 +97,19 @@ def test_what_was_told_of_a_deleted_view_is_not_repeated(campus: SqlStore) -> No
 
     one, two, other = (repeated(campus, key) for key in ("one", "two", "other"))
     assert (one.view.id, one.view.place, one.view.metadata, one.view.description) == (gate, None, {}, None)
-    assert "secret" in (told := two.model_dump_json())
+    assert "secret" in two.model_dump_json()
     assert two.views[1].view.filename is two.views[1].view.position is None
     assert two.views[1].warnings[0].view == yard  # which is still there
     assert other.view.filename == "secret.jpg"
     campus.removals.delete_map("campus")
     for key in ("one", "two", "other"):
-        told = repeated(campus, key).model_dump_json()
-        assert "secret" not in told
-        assert VIEW["image"]["sha256"] not in told
-        assert VIEW["place"] not in told
+        left = repeated(campus, key).model_dump_json()
+        assert "secret" not in left
+        assert VIEW["image"]["sha256"] not in left
+        assert "east" not in left
+        assert "west" not in left
+        assert "0.5" not in left
+        assert rfc3339(NOW) not in left
 
 
 def repeated(store: SqlStore, key: str) -> Any:

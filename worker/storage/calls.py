@@ -2,25 +2,21 @@
 
 import hashlib
 import json
-import re
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from datetime import datetime, timedelta
-from functools import partial
-from typing import Any
 
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
-from schemas.records import Replay, ViewAttributes
-from schemas.wire_views import rfc3339
+from schemas.records import Replay
 from worker.storage import checksums, clock, dialect
+from worker.storage.answers import Answers, as_now, named
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
-from worker.storage.rows import as_json, batches
+from worker.storage.rows import as_json
 from worker.storage.tables import CALLS, VOCABULARIES
 
 KEPT = timedelta(hours=24)
@@ -30,23 +26,6 @@ GIVEN_UP = timedelta(minutes=10)
 
 EXPIRED_EVERY_S = 3600.0
 """Seconds between looks for calls whose time is over, where no new one looks."""
-
-FEW = 8
-"""Deleted views up to which the database looks for their ids; for more all answers are read once."""
-
-DELETED: Mapping[str, Any] = {
-    "place": None, "position": None, "captured_at": None, "metadata": {}, "filename": None, "description": None,
-}  # fmt: skip
-"""What a view that was deleted has in an answer that is repeated."""
-
-SINCE_DELETED = "it concerned a view that was deleted since"
-
-SINCE_CHANGED = "it concerned a view whose attributes were changed since"
-
-Retelling = Callable[[dict[str, Any]], None]
-"""Changes what an answer tells of a view, in place."""
-
-_ID = re.compile("[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 
 
 class Calls(Part):
@@ -101,12 +80,8 @@ class Calls(Part):
         return Replay(row.status, json.loads(row.headers), row.body)
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:
-        """Store the answer to a call."""
-        kept = {
-            "status": int(replay.status), "headers": as_json(dict(replay.headers)), "body": bytes(replay.body),
-        }  # fmt: skip
-        ended = sa.update(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None))
-        self._store(key, lambda: self._end(ended.values(finished_at=now, **kept)))
+        """Store the answer to a call; of a view that was deleted or changed while it ran, as that is now."""
+        self._store(key, lambda: self._end(key, replay, now))
 
     def abandon(self, key: str) -> None:
         """Delete an unfinished call that failed, so that it can be tried again."""
@@ -130,28 +105,9 @@ class Calls(Part):
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(over))
 
-    def forget_views(self, views: Collection[str]) -> None:
-        """Leave of deleted views nothing but their ids in the answers that are kept to be repeated.
-
-        All of a day are looked through: the clocks of a fleet do not tell which ended before a view was enrolled.
-
-        Parameters
-        ----------
-        views : collection of str
-            Their ids.
-
-        Raises
-        ------
-        DiskFull, StorageFailed
-        """
-        kept = sa.select(CALLS.c.key, CALLS.c.body).where(CALLS.c.finished_at.is_not(None))
-        if len(views) <= FEW:
-            kept = kept.where(sa.or_(*(_named(self._database.engine, view) for view in views)))
-        with self._database.reading() as connection:
-            rows = connection.execution_options(yield_per=100).execute(kept)
-            keys = [row.key for row in rows if _names(row.body or b"", views)]
-        for portion in batches(keys):
-            self._database.freeing(partial(_retell, keys=portion, ids=views, change=_forget, why=SINCE_DELETED))
+    def telling(self, views: Collection[str]) -> Answers:
+        """The answers that are kept and tell of some views, by their ids, which are about to be deleted."""
+        return Answers(self._database, views)
 
     def _store(self, key: str, store: Callable[[], None]) -> None:
         """Store the end of a call now, or later where that cannot be done."""
@@ -168,9 +124,18 @@ class Calls(Part):
             raise
         self._late.pop(key, None)
 
-    def _end(self, ended: sa.Update) -> None:
-        with self._database.writing(in_turn=False) as connection:
-            connection.execute(ended)
+    def _end(self, key: str, replay: Replay, now: datetime) -> None:
+        body = bytes(replay.body)
+        ids = named(body)
+        # In turn: who deletes or changes such a view either finds this answer, or has done so before.
+        with self._database.writing(in_turn=bool(ids)) as connection:
+            kept = {
+                "status": int(replay.status),
+                "headers": as_json(dict(replay.headers)),
+                "body": as_now(connection, body, ids) if ids else body,
+            }
+            ended = sa.update(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None))
+            connection.execute(ended.values(finished_at=now, **kept))
 
     def _delete(self, *which: sa.ColumnElement[bool]) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:
@@ -180,68 +145,6 @@ class Calls(Part):
 def _time(connection: sa.Connection, now: datetime, shared: bool) -> datetime:
     """The time by the server's clock where that is wanted and there is a server; else `now`."""
     return now if not shared or dialect.is_file(connection.engine) else clock.shared_time(connection)
-
-
-def tell_changed(connection: sa.Connection, view_id: str, attributes: ViewAttributes) -> None:
-    """Have the answers that are kept to be repeated tell of a view what it has now, and nothing that it had."""
-    kept = sa.select(CALLS.c.key).where(CALLS.c.finished_at.is_not(None), _named(connection.engine, view_id))
-    position = asdict(attributes.position)
-    now = {
-        "place": attributes.place,
-        "position": None if all(value is None for value in position.values()) else position,
-        "captured_at": None if attributes.captured_at is None else rfc3339(attributes.captured_at),
-        "metadata": dict(attributes.metadata),
-        "filename": attributes.filename,
-    }
-    keys = connection.scalars(kept).all()
-    _retell(connection, keys, [view_id], lambda view: view.update(now), SINCE_CHANGED)
-
-
-def _named(engine: sa.Engine, view_id: str) -> sa.ColumnElement[bool]:
-    """SQL condition that the id of a view stands in an answer."""
-    wanted = sa.literal(view_id.encode(), sa.LargeBinary)
-    if dialect.is_file(engine):
-        return sa.func.instr(CALLS.c.body, wanted) > 0
-    return sa.func.position(wanted.op("IN")(CALLS.c.body)) > 0
-
-
-def _names(text: bytes, ids: Collection[str]) -> bool:
-    """Whether some text has the id of one of these views."""
-    return any(found in ids for found in _ID.findall(text.decode(errors="replace")))
-
-
-def _retell(
-    connection: sa.Connection, keys: Collection[str], ids: Collection[str], change: Retelling, why: str
-) -> None:
-    """Change what the answers of some calls tell of some views; one that is damaged goes as a whole."""
-    for row in list(connection.execute(sa.select(CALLS).where(CALLS.c.key.in_(keys)))):
-        of = CALLS.c.key == row.key
-        if row.finished_at is None or not checksums.is_whole(CALLS, row, row.checksum):
-            connection.execute(sa.delete(CALLS).where(of, CALLS.c.finished_at.is_not(None)))
-        else:
-            connection.execute(sa.update(CALLS).where(of).values(body=_retold(row.body, ids, change, why)))
-
-
-def _retold(body: bytes, ids: Collection[str], change: Retelling, why: str) -> bytes:
-    """The answer to an enrolment, of one image or of several, with what it tells of some views changed."""
-    answer = json.loads(body)
-    for one in (answer, *answer.get("views", ())):
-        view = one.get("view")
-        if isinstance(view, dict) and view["id"] in ids:
-            change(view)
-        for warning in one.get("warnings", ()):
-            if warning["view"] in ids:
-                warning["detail"] = why
-    for refused in (answer, *answer.get("errors", ())):
-        if _names(refused.get("detail", "").encode(), ids):
-            refused["detail"] = why
-    return json.dumps(answer, ensure_ascii=False, separators=(",", ":")).encode()
-
-
-def _forget(view: dict[str, Any]) -> None:
-    """Leave of a deleted view nothing but its id, and what its image is like."""
-    view |= DELETED
-    view["image"]["sha256"] = "0" * 64
 
 
 def keep_vocabulary(connection: sa.Connection, digest: str, tensors: bytes) -> None:

@@ -13,6 +13,7 @@ from schemas.errors import DiskFull, StorageFailed
 from schemas.records import Filters
 from schemas.removal import Holding, Removal
 from worker.storage import clock, deleted_images, switching
+from worker.storage.answers import Answers
 from worker.storage.damage import bury
 from worker.storage.database import Database
 from worker.storage.filtering import fitting
@@ -39,8 +40,8 @@ class Removals(Part):
     images : ImageStore
     holding : function
         Snapshots that have images of some digests, also of those that were being made; see `SnapshotContents.holding`.
-    forget : function
-        Takes deleted views, by their ids, out of what is kept of calls; see `Calls`.
+    telling : function
+        Of views, by their ids, what is kept of calls and tells of them; see `Calls.telling`.
     """
 
     def __init__(
@@ -48,10 +49,10 @@ class Removals(Part):
         database: Database,
         images: ImageStore,
         holding: Callable[[Collection[str], Sequence[str]], tuple[Holding, ...]],
-        forget: Callable[[Collection[str]], None],
+        telling: Callable[[Collection[str]], Answers],
     ) -> None:
         super().__init__(database, images)
-        self._holding, self._forget = holding, forget
+        self._holding, self._telling = holding, telling
         self._unfinished: set[int] = set()
         self._finishing: threading.Thread | None = None
 
@@ -62,7 +63,7 @@ class Removals(Part):
         """
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
-        gone = self._remove(row.map_id, [row.seq], undoes=undoes)
+        gone = self._remove(row.map_id, [row.seq], self._telling([row.id]), undoes=undoes)
         if gone.views == 0:  # deleted by another call meanwhile
             with self._database.reading() as connection:
                 find_view(connection, view_id)
@@ -73,8 +74,10 @@ class Removals(Part):
         with self._database.reading() as connection:
             row = find_map(connection, name)
             fit = [VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id)]
-            seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*fit).order_by(VIEWS.c.seq)))
-        portions = [self._remove(row.id, seqs[start : start + PORTION]) for start in range(0, len(seqs), PORTION)]
+            ids = dict(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id).where(*fit).order_by(VIEWS.c.seq)).all())
+        seqs, answers = list(ids), self._telling(ids.values())
+        starts = range(0, len(seqs), PORTION)
+        portions = [self._remove(row.id, seqs[start : start + PORTION], answers) for start in starts]
         return self._receipt(portions, portions[-1].revision if portions else row.revision)
 
     def delete_map(self, name: str) -> Removal:
@@ -162,20 +165,21 @@ class Removals(Part):
         ):
             queries += portion_of
         some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
+        with self._database.reading() as connection:
+            ids = list(connection.scalars(sa.select(VIEWS.c.id).where(VIEWS.c.map_id == map_id)))
+        answers = self._telling(ids)
         while self._database.freeing(lambda connection: _at_work(connection, map_id)):
             with self._database.reading() as connection:
                 seqs = list(connection.scalars(some))
             if not seqs:
                 break
-            portions.append(self._remove(map_id, seqs))
+            portions.append(self._remove(map_id, seqs, answers))
         empty = sa.delete(MAPS).where(MAPS.c.id == map_id, MAPS.c.name.is_(None))
         self._database.freeing(lambda connection: connection.execute(empty))
         return replace(self._receipt(portions, None, making), queries=queries)
 
     def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
-        """What the portions deleted, each as it was in its own transaction, and what snapshots have; it is taken out of
-        the answers that are kept to be repeated."""
-        self._forget_answers({view_id for portion in portions for view_id in portion.ids})
+        """What the portions deleted, each as it was in its own transaction, and what snapshots have."""
         digests = [digest for portion in portions for digest in portion.digests]
         started = list(dict.fromkeys([*making, *(one for portion in portions for one in portion.being_made)]))
         shared = frozenset[str]().union(*(portion.images.needed for portion in portions))
@@ -191,15 +195,8 @@ class Removals(Part):
             snapshots=self._holding(digests, started),
         )
 
-    def _forget_answers(self, views: Collection[str]) -> None:
-        try:
-            if views:
-                self._forget(views)
-        except (DiskFull, StorageFailed) as error:  # the views are gone all the same
-            log.warning("answers that name deleted views are kept until their day is over: %s", error.detail)
-
-    def _remove(self, map_id: int, seqs: Sequence[int], *, undoes: bool = False) -> "_Gone":
-        """Delete views of a map, then the images that no view needs."""
+    def _remove(self, map_id: int, seqs: Sequence[int], answers: Answers, *, undoes: bool = False) -> "_Gone":
+        """Delete views of a map, and what `answers` that are kept tell of them, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
             which = VIEWS.c.seq.in_(seqs)
@@ -214,6 +211,7 @@ class Removals(Part):
                 queries = connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs))).rowcount
                 scores = connection.execute(sa.delete(DAY_SCORES).where(DAY_SCORES.c.seq.in_(seqs))).rowcount
                 connection.execute(sa.delete(VIEWS).where(which))
+                answers.forget(connection, [row.id for row in rows])
                 if not undoes:
                     known = {digest for row in rows for digest in (row.sha256, row.sent_sha256) if digest is not None}
                     deleted_images.note(connection, map_id, known)
@@ -224,9 +222,8 @@ class Removals(Part):
             digests = [str(row.sha256) for row in rows]
             # One that is claimed after this transaction reads what this one leaves.
             making = _being_made(connection, map_id)
-            ids = [str(row.id) for row in rows]
             counts = descriptions, searched, queries, scores
-            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making, ids)
+            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making)
 
         gone = self._database.freeing(remove)
         images = self._images.discard(gone.digests)
@@ -246,7 +243,6 @@ class _Gone(NamedTuple):
     queries: int
     scores: int
     being_made: list[str]
-    ids: list[str]
 
 
 _NONE = Discarded(0, frozenset())

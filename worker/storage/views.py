@@ -10,7 +10,7 @@ from schemas.description import Floats
 from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
-from worker.storage.calls import tell_changed
+from worker.storage.answers import tell_changed
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
