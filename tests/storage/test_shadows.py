@@ -197,6 +197,23 @@ def test_the_rows_of_a_deleted_view_leave_the_table(store: SqlStore) -> None:
     assert store.jobs.shadow("campus").job.result == {"wanted": 7, "totals": 3, "queries": rows[2:]}
 
 
+def test_the_rows_of_a_view_that_is_deleted_while_answers_are_compared_enter_no_table(store: SqlStore) -> None:
+    described(store)
+    gate, pond = store.views.at(list(Follower(store).catch_up().vectors)).values()
+    rows = [
+        {"id": id, "source": source, "old": {"view": old}, "new": {"view": new}} for id, source, old, new in (
+            (gate.id, "view", pond.id, None), ("first", "kept", pond.id, gate.id), ("second", "kept", pond.id, None),
+            (pond.id, "view", None, None), ("third", "kept", gate.id, pond.id),
+        )
+    ]  # fmt: skip
+    claim = claimed(store)
+    store.removals.delete_view(gate.id)
+
+    store.jobs.finish_shadow(claim, {"wanted": 7, "totals": 5, "queries": rows}, NOW)
+
+    assert store.jobs.shadow("campus").job.result == {"wanted": 7, "totals": 5, "queries": rows[2:4]}
+
+
 def test_a_worker_that_dies_comparing_leaves_the_job_to_the_next(store: SqlStore) -> None:
     described(store)
     claim = claimed(store, "first")

@@ -20,8 +20,8 @@ from worker.storage import switching
 from worker.storage.image_store import forgets
 from worker.storage.import_jobs import ImportJobs
 from worker.storage.map_jobs import held, record_of, refuse_changed, refuse_second
-from worker.storage.rows import as_json, find_map, find_recipe, inserting, keep_recipe, ranking_of
-from worker.storage.tables import JOBS, MAPS
+from worker.storage.rows import as_json, batches, find_map, find_recipe, inserting, keep_recipe, ranking_of
+from worker.storage.tables import JOBS, MAPS, VIEWS
 
 SAME = (
     "the map {0!r} is described by this recipe already, so that there is nothing to compare; PATCH /maps/{0} changes "
@@ -76,13 +76,15 @@ class ShadowJobs(ImportJobs):
             return _shadow(connection, find_map(connection, name))
 
     def finish_shadow(self, claim: MapClaim, result: Mapping[str, Any], now: datetime) -> None:
-        """End the comparison of a claimed job: its shadow is ready; raises LeaseLost."""
+        """End the comparison of a claimed job: its shadow is ready; raises LeaseLost.
+
+        Rows of the table that name views which were deleted while answers were compared are left out.
+        """
         with self._database.writing() as connection:
             job = held(connection, claim)
             done = {"state": "done", "finished_at": now, "token": None, "progress_done": job.progress_total}
-            connection.execute(
-                sa.update(JOBS).where(JOBS.c.number == job.number).values(**done, result=as_json(dict(result)))
-            )
+            kept = as_json(_of_present_views(connection, result))
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**done, result=kept))
 
     def switch_to_shadow(self, name: str, now: datetime) -> JobRecord:
         """Change a map over to its shadow, of whose table the totals stay.
@@ -122,6 +124,22 @@ class ShadowJobs(ImportJobs):
             return record_of(connection, shadow.job.id)
 
         return self._database.freeing(discard)  # its descriptions go next
+
+
+def _of_present_views(connection: sa.Connection, table: Mapping[str, Any]) -> dict[str, Any]:
+    """A shadow's table without the rows that name a view which is not there; its totals stay."""
+    rows = [(row, _views_of(row)) for row in table.get("queries", ())]
+    present: set[str] = set()
+    for portion in batches(set().union(*(views for _, views in rows))):
+        present |= set(connection.scalars(sa.select(VIEWS.c.id).where(VIEWS.c.id.in_(portion))))
+    kept = [row for row, views in rows if views <= present]
+    return {**table, "queries": kept} if len(kept) < len(rows) else dict(table)
+
+
+def _views_of(row: Mapping[str, Any]) -> set[str]:
+    """Ids of the views that a row of a shadow's table names."""
+    own = row["id"] if row.get("source") == "view" else None  # else it is that of a kept query
+    return {view for view in (own, row["old"]["view"], row["new"]["view"]) if view is not None}
 
 
 def _shadow(connection: sa.Connection, row: sa.Row[Any]) -> ShadowRecord:
