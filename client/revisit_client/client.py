@@ -236,8 +236,7 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         exclude : sequence of str
             Ids of views to leave out.
         idempotency_key : str or None
-            The answer of an earlier query with this key is repeated, for a day. None: a new key with `drive`, else
-            none.
+            With `drive`: the image before, sent again with its key, counts once. None: a new key for each call.
         """
         chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
