@@ -9,7 +9,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, LeaseLost, NotFound
-from schemas.records import Filters
+from schemas.records import Filters, ViewRecord
 from tests.storage.conftest import Open
 from tests.storage.material import (
     NO_ATTRIBUTES,
@@ -89,6 +89,44 @@ def test_a_job_remembers_that_poor_images_are_refused(store: SqlStore) -> None:
     refused = store.views.get(pond.view.id)
     assert (refused.state, refused.failure) == ("failed", ("poor-picture", "it adds nothing"))
     assert Follower(store).catch_up().vectors == {}
+
+
+def test_an_enrolment_that_another_call_was_told_of_is_not_taken_back(store: SqlStore) -> None:
+    alone, told = enroll(store, "pond").view, enroll(store, "gate").view
+    assert not enroll(store, "gate").created
+
+    store.removals.delete_view(alone.id, undoes=True)
+    with pytest.raises(Conflict, match="told of this view"):
+        store.removals.delete_view(told.id, undoes=True)
+
+    assert [view.id for view in store.views.list("campus", Filters())[0]] == [told.id]
+    assert store.removals.delete_view(told.id).views == 1  # whoever asks for that gets it
+
+
+def test_a_call_is_told_of_a_view_that_is_about_to_be_taken_back(store: SqlStore) -> None:
+    """It failed, and the call that enrolled it has not come to remove it: whoever sends it again has it described."""
+    view = enroll(store, "gate").view
+    [claim] = store.jobs.claim("one", 1)
+    store.jobs.fail(claim, "poor-picture", "it adds nothing", NOW)
+    assert enroll(store, "gate").job_id is not None
+
+    with pytest.raises(Conflict):
+        store.removals.delete_view(view.id, undoes=True)
+
+
+def test_an_import_that_goes_on_takes_its_own_back(store: SqlStore) -> None:
+    def submit(name: str, background: bool) -> ViewRecord:
+        body = image(name)
+        return store.enrolment.submit(
+            "campus", body, facts(body), NO_ATTRIBUTES, RECIPE, NOW, background=background
+        ).view
+
+    own, foreign = submit("gate", background=True), submit("pond", background=False)
+    submit("gate", background=True), submit("pond", background=True)
+
+    store.removals.delete_view(own.id, undoes=True)
+    with pytest.raises(Conflict):
+        store.removals.delete_view(foreign.id, undoes=True)
 
 
 def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> None:

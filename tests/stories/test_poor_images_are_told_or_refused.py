@@ -1,7 +1,9 @@
 """A robot's camera is dirty, or the light is off: it is told when it enrols, not when it is lost."""
 
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -215,6 +217,37 @@ def test_whoever_does_not_wait_finds_the_refusal_at_the_view(client: httpx.Clien
         assert client.get(f"/views/{view['id']}").json()["failure"] == view["failure"]
     again = client.post(f"/enroll?map={name}&refuse_poor=false", content=poor, headers=JPEG)
     assert (again.status_code, again.json()["view"]["state"]) == (200, "ready")
+
+
+def test_who_sends_an_image_again_before_it_is_refused_finds_out_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot loses its connection and sends the image once more, without waiting, while the first is described."""
+    looks, goes_on = threading.Event(), threading.Event()
+    look = NearDuplicates.of
+
+    def held(self: NearDuplicates, name: str, *said: Any, **how: Any) -> ViewRecord | None:
+        looks.set()
+        assert goes_on.wait(30)
+        return look(self, name, *said, **how)
+
+    with CheckedClient(create_app(build(settings(tmp_path, compare=False)))) as client:
+        assert client.put("/maps/wall", json={}).status_code == 201
+        assert client.patch("/maps/wall", json={"refuse_poor": True}).status_code == 200
+        assert client.post("/enroll?map=wall", content=wall(92), headers=JPEG).status_code == 201
+        monkeypatch.setattr(NearDuplicates, "of", held)
+        with ThreadPoolExecutor(1) as caller:
+            first = caller.submit(client.post, "/enroll?map=wall", content=wall(70), headers=JPEG)
+            assert looks.wait(30)
+            told = client.post("/enroll?map=wall&wait=false", content=wall(70), headers=JPEG)
+            goes_on.set()
+            refused = first.result(30)
+
+        assert told.status_code == 202
+        assert (refused.status_code, refused.json()["type"]) == (422, "urn:revisit:problem:poor-picture")
+        view = settled(client, told.json()["view"]["id"])
+        assert (view["state"], view["failure"]["code"]) == ("failed", "poor-picture")
+        assert client.get(f"/jobs/{told.json()['job']}").json()["state"] == "failed"
 
 
 def test_an_import_lists_what_the_map_refuses_once_it_is_described(client: httpx.Client) -> None:

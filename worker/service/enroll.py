@@ -231,12 +231,12 @@ class EnrollService:
             The view is kept, `failed`.
         PoorImage
             The image shows mostly things that move, or adds nothing to the map, and such images are refused; a view
-            that this call created is removed.
+            that this call created is removed, unless another call was told of it meanwhile.
         DiskFull, StorageFailed
             The description cannot be stored now, and the view that this call created is removed. Where it cannot be
             removed, or was there before, it stays pending and is described later: that is no error.
         RevisitError
-            Describing the image failed; a view that this call created is removed.
+            Describing the image failed; a view that this call created is removed, as above.
         """
         submitted = accepted.submitted
         record = submitted.view if view is None else view
@@ -248,11 +248,10 @@ class EnrollService:
             if code == NothingStatic.code:
                 raise NothingStatic(f"{detail} ({KEPT.format(record.id)})")
             if code == PoorImage.code:
-                gone = self._undone(submitted)  # a view that an earlier call acknowledged stays
+                gone = self._undone(submitted)  # a view that another call was told of stays
                 raise PoorImage(detail if gone else f"{detail} ({KEPT.format(record.id)})")
-            if submitted.created:
-                self._removals.delete_view(record.id, undoes=True)
-            raise RevisitError(detail)
+            gone = self._undone(submitted)
+            raise RevisitError(detail if gone else f"{detail} ({KEPT.format(record.id)})")
         try:
             return self._told(accepted, view)
         except StorageFailed:
@@ -308,7 +307,7 @@ class EnrollService:
         return moving.problem_of(described.label_shares, described.static_share, recipe)
 
     def _undone(self, submitted: Submitted) -> bool:
-        """Whether the view of a call that will be answered with an error is removed."""
+        """Whether the view of a call that will be answered with an error is removed; one that others know of stays."""
         if not submitted.created:
             return False
         try:

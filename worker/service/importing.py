@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
-from schemas.errors import EncoderAway, LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
+from schemas.errors import Conflict, EncoderAway, LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.imports import ImportOptions
 from schemas.records import MapClaim, Submitted, ViewAttributes, ViewRecord
@@ -206,8 +206,8 @@ class Importer:
             return None
 
     def drop(self, view_id: str) -> None:
-        """Remove a view; does nothing where it was deleted."""
-        with suppress(NotFound):
+        """Remove a view; does nothing where it was deleted, or where a call was told of it."""
+        with suppress(NotFound, Conflict):
             self._removals.delete_view(view_id, undoes=True)
 
     def report(self, claim: MapClaim, report: Report) -> None:

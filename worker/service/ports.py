@@ -114,7 +114,10 @@ class Removals(Protocol):
     """Deletions: rows, vectors and image files."""
 
     def delete_view(self, view_id: str, *, undoes: bool = False) -> Removal:
-        """Remove a view; raises NotFound. `undoes`: nobody was told of it, and an import may bring its image."""
+        """Remove a view; raises NotFound.
+
+        `undoes`: nobody was told of it, and an import may bring its image; raises Conflict where somebody was.
+        """
         ...
 
     def delete_views(self, name: str, filters: Filters) -> Removal:

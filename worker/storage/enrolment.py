@@ -33,7 +33,7 @@ from worker.storage.rows import (
     view_record,
     view_rows,
 )
-from worker.storage.tables import METADATA_PAIRS, VIEWS
+from worker.storage.tables import JOBS, METADATA_PAIRS, VIEWS
 
 
 def contradictions(kept: ViewAttributes, anew: ViewAttributes) -> list[str]:
@@ -253,6 +253,10 @@ class Enrolment(Part):
             view = find_view(connection, view.id)
         else:
             job = switching.unfinished_job(connection, view.seq, row.recipe)
+        if job is not None:  # the call that enrolled the view may yet take it back
+            # An import that goes on after a crash meets its own: nobody else was told of those.
+            others = sa.true() if not how.background else ~JOBS.c.background
+            connection.execute(sa.update(JOBS).where(JOBS.c.id == job, others).values(told=True))
         return Submitted(view_record(view), job, created=False, revision=row.revision)
 
     def _is_readable(self, digest: str) -> bool:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import sqlalchemy as sa
 
-from schemas.errors import DiskFull, StorageFailed
+from schemas.errors import Conflict, DiskFull, StorageFailed
 from schemas.records import Filters
 from schemas.removal import Holding, Removal
 from worker.storage import clock, deleted_images, switching
@@ -59,7 +59,8 @@ class Removals(Part):
     def delete_view(self, view_id: str, *, undoes: bool = False) -> Removal:
         """Remove a view completely; raises NotFound.
 
-        `undoes`: an enrolment is taken back that nobody was told of, so that an import may bring its image.
+        `undoes`: an enrolment is taken back that nobody was told of, so that an import may bring its image; raises
+        Conflict where a further call was told of the view, which stays.
         """
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
@@ -199,6 +200,8 @@ class Removals(Part):
         """Delete views of a map, and what `answers` that are kept tell of them, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
+            if undoes and connection.scalar(sa.select(JOBS.c.id).where(JOBS.c.seq.in_(seqs), JOBS.c.told).limit(1)):
+                raise Conflict("another call was told of this view")
             which = VIEWS.c.seq.in_(seqs)
             columns = VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256, VIEWS.c.sent_sha256
             rows = list(connection.execute(sa.select(*columns).where(which)))

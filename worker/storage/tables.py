@@ -226,6 +226,7 @@ JOBS = sa.Table(
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
     sa.Column("refuse_poor", sa.Boolean),  # of an enrolment: whether a description that shows a poor image fails it
+    sa.Column("told", sa.Boolean),  # of an enrolment: whether a further call was told of the view, which then stays
     _seal(),
     _unsealed("jobs", "number"),
     sa.Index("jobs_in_order", "kind", "state", "background", "number"),
