@@ -317,6 +317,18 @@ def test_cancelling_what_tries_failed_views_again_leaves_what_was_enrolled(store
     assert {view.state for view in listed(store)} == {"ready"}
 
 
+def test_a_view_is_that_of_an_import_by_who_enrolled_it_first(store: SqlStore) -> None:
+    """Whatever describes it later: a recipe switch is in the background as well."""
+    ours, body = enroll(store, "gate").view, image("pond")
+    theirs = store.enrolment.submit("campus", body, facts(body), NO_ATTRIBUTES, None, NOW, background=True).view
+    enroll(store, "pond")
+    describe_all(store)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
+    assert [store.jobs.is_imported(view.id) for view in (ours, theirs)] == [False, True]
+    store.removals.delete_view(theirs.id)
+    assert not store.jobs.is_imported(theirs.id)
+
+
 def listed(store: SqlStore) -> list[ViewRecord]:
     return store.views.list("campus", Filters())[0]
 

@@ -266,3 +266,21 @@ def test_an_import_lists_what_the_map_refuses_once_it_is_described(client: httpx
         assert "adds nothing" in result["errors"][0]["detail"]
         views = client.get("/views?map=stop-and-go").json()["views"]
         assert sorted(view["filename"] for view in views) == ["0.jpg", "3.jpg"]  # nothing else is left
+
+
+def test_an_import_removes_no_view_that_somebody_else_enrolled_meanwhile(client: httpx.Client) -> None:
+    """The view is refused, its id was told, and the import comes to the same image later."""
+    poor = crowd(0.9, 2)
+    files = {**{f"{i:02}.jpg": sharp(i) for i in range(40)}, "99.jpg": poor}
+    job = client.post("/maps/lot/imports?refuse_poor=true", content=zipped(files), headers=ZIP).json()
+
+    told = client.post("/enroll?map=lot&refuse_poor=true&wait=false", content=poor, headers=JPEG)
+
+    assert told.status_code == 202
+    assert settled(client, told.json()["view"]["id"])["failure"]["code"] == "poor-picture"
+    assert client.get(f"/jobs/{job['id']}").json()["state"] == "running", "it had come to the image before"
+    [error] = ended(client, job["id"])["result"]["errors"]
+    assert (error["file"], error["problem"]) == ("99.jpg", "poor-picture")
+    view = client.get(f"/views/{told.json()['view']['id']}").json()
+    assert (view["state"], view["failure"]["code"]) == ("failed", "poor-picture")
+    assert f"kept as view {view['id']}" in error["detail"]

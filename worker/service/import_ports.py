@@ -74,6 +74,10 @@ class ImportJobs(Protocol):
         """End an import as done; raises LeaseLost."""
         ...
 
+    def is_imported(self, view_id: str) -> bool:
+        """Whether an import enrolled a view, so that nobody else was told of it; not so of one that is gone."""
+        ...
+
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
         """End a job as failed; does nothing when the claim is void."""
         ...

@@ -210,6 +210,10 @@ class Importer:
         with suppress(NotFound, Conflict):
             self._removals.delete_view(view_id, undoes=True)
 
+    def is_imported(self, view_id: str) -> bool:
+        """Whether an import enrolled a view."""
+        return self._jobs.is_imported(view_id)
+
     def report(self, claim: MapClaim, report: Report) -> None:
         """Tell the store how far a job is; raises LeaseLost."""
         self._jobs.report_import(claim, report.progress, asdict(report))
@@ -292,7 +296,8 @@ class _Run:
             self._fail(item.file, "malformed-body", str(error))
             return
         # A run after a crash finds views that an earlier run of the same job enrolled.
-        own = (created or view.enrolled_at >= self._began) and view.id not in self._seen
+        earlier = not created and view.enrolled_at >= self._began and self._importer.is_imported(view.id)
+        own = (created or earlier) and view.id not in self._seen
         self._seen.add(view.id)
         self._describing.append(_Describing(item.file, view.id, own, 3 * view.image.width * view.image.height))
 

@@ -14,7 +14,7 @@ from worker.storage.map_jobs import MapJobs, held, queue
 from worker.storage.maps import make_map
 from worker.storage.rows import as_json, find_map, maps_named
 from worker.storage.switching import UNFINISHED
-from worker.storage.tables import JOBS
+from worker.storage.tables import JOBS, VIEWS
 
 
 class ImportJobs(MapJobs):
@@ -51,6 +51,16 @@ class ImportJobs(MapJobs):
             told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
             deleted_images.forget(connection, job.number)
+
+    def is_imported(self, view_id: str) -> bool:
+        """Whether an import enrolled a view, so that nobody else was told of it; not so of one that is gone.
+
+        It is by the first job that describes it: those of imports are in the background from the start.
+        """
+        of = sa.select(VIEWS.c.seq).where(VIEWS.c.id == view_id).scalar_subquery()
+        describes = sa.select(JOBS.c.background).where(JOBS.c.seq == of, JOBS.c.kind == "describe")
+        with self._database.reading() as connection:
+            return bool(connection.scalar(describes.order_by(JOBS.c.number).limit(1)))
 
     def unfinished_imports(self, name: str | None = None) -> set[str]:
         """Ids of the imports, into a map if one is named, that wait or run."""
