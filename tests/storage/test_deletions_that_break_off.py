@@ -6,6 +6,7 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import sqlalchemy as sa
@@ -14,9 +15,10 @@ import time_machine
 from schemas.errors import NotFound, StorageFailed
 from schemas.map_changes import MapChanges
 from schemas.snapshot import RestoredMap
-from tests.storage.carried import filled, made
-from tests.storage.material import NOW, describe_all, enroll
+from tests.storage.carried import JOB, filled, made
+from tests.storage.material import NOW, RECIPE, describe_all, enroll
 from tests.waiting import until
+from worker.service.maps import MapService
 from worker.storage import clock, removals
 from worker.storage.answers import Answers
 from worker.storage.database import Database
@@ -79,6 +81,29 @@ def test_a_map_whose_deletion_may_not_have_begun_is_left_alone(
     store.tend()
     until(lambda: not store.removals._unfinished)
     assert rows(store) == (1, 1)
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_recordings_go_with_the_imports_of_a_map_whose_deletion_breaks_off(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch, gone: bool
+) -> None:
+    """But where the map keeps its name its imports go on."""
+    enroll(store, "gate")
+    upload = store.uploads.receive()
+    upload.write(b"a recording")
+    upload.end()
+    store.uploads.keep(upload, JOB, {})
+    store.jobs.queue_import(JOB, "campus", RECIPE, NOW)
+    parts = dict.fromkeys(
+        ("maps", "comparisons", "shipped", "encoder", "describers", "catalogue", "blurring", "wake"), Mock()
+    )
+    service = MapService(removals=store.removals, jobs=store.jobs, uploads=store.uploads, preset="default", **parts)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(*((Removals, "_remove", refuse) if gone else (Database, "freeing", broken_off)))
+        with pytest.raises(StorageFailed):
+            service.delete("campus")
+    assert (not any((data / "imports").iterdir())) == gone
 
 
 def killed(store: SqlStore) -> None:

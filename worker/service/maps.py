@@ -1,6 +1,6 @@
 """Maps: created, shown, changed, deleted; and the jobs that describe all their views again."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,6 +22,7 @@ from worker.search.ports import Catalogue
 from worker.service.blurring import Blurring
 from worker.service.calibrating import own_calibration
 from worker.service.ports import Comparisons, Jobs, Maps, Removals, UploadRemoval
+from worker.service.trouble import STORAGE_ERRORS
 
 ATTEMPTS = 5
 """How often the next recipe of a map is made, whose present one is changed meanwhile."""
@@ -166,11 +167,20 @@ class MapService:
     def delete(self, name: str) -> Removal:
         """Remove a map and all its views; raises NotFound."""
         imports = self._jobs.unfinished_imports(name)
-        receipt = self._removals.delete_map(name)
-        for job_id in imports:
-            self._uploads.discard(job_id)
+        try:
+            receipt = self._removals.delete_map(name)
+        except STORAGE_ERRORS:  # it is finished later, if its name is gone: with that went its jobs
+            with suppress(*STORAGE_ERRORS):
+                self._discard(imports - self._jobs.unfinished_imports())
+            raise
+        self._discard(imports)
         self._catalogue.forget(name)
         return receipt
+
+    def _discard(self, imports: Collection[str]) -> None:
+        """Remove the recordings of imports that went with their map."""
+        for job_id in imports:
+            self._uploads.discard(job_id)
 
     def switch_recipe(self, name: str, wanted: Wanted) -> JobRecord:
         """Describe a map's views by another recipe; queries use the old recipe until the last view is described.
