@@ -2,6 +2,7 @@
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from app.http.application import create_app
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import settings
+from tests.waiting import until
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -44,3 +46,26 @@ def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path, monk
     assert (amid["matches"], amid["pending"]) == ([], 1)
     assert [match["view"]["id"] for match in after["matches"]] == [kept.json()["view"]["id"]]
     assert after["pending"] == 0
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_whoever_waits_is_told_that_the_description_was_cancelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bool
+) -> None:
+    """The view goes, unless an earlier call was told of it."""
+    runtime = build(settings(tmp_path))
+    monkeypatch.setattr(runtime.store.jobs, "claim", lambda *_: [])
+    with CheckedClient(create_app(runtime)) as client, ThreadPoolExecutor() as threads:
+        if before:
+            assert client.post("/enroll?wait=false", content=photo(1), headers=JPEG).status_code == 202
+        waiting = threads.submit(client.post, "/enroll", content=photo(1), headers=JPEG)
+        until(lambda: runtime.settlements._waiting)
+        [job] = client.get("/jobs?kind=describe").json()["jobs"]
+        assert client.delete(f"/jobs/{job['id']}").json()["state"] == "cancelled"
+
+        told = waiting.result()
+
+        assert (told.status_code, told.json()["type"]) == (409, "urn:revisit:problem:conflict")
+        assert "its description was cancelled; enrol the image again" in told.json()["detail"]
+        assert (f"kept as view {job['view']}" in told.json()["detail"]) == before
+        assert client.get(f"/views/{job['view']}").status_code == (200 if before else 404)

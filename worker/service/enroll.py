@@ -7,7 +7,17 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, PoorImage, RevisitError, StorageFailed, Unavailable
+from schemas.errors import (
+    Busy,
+    Conflict,
+    DiskFull,
+    NotFound,
+    NothingStatic,
+    PoorImage,
+    RevisitError,
+    StorageFailed,
+    Unavailable,
+)
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
@@ -26,6 +36,9 @@ NO_WORKER = (
 NO_WORKER_RETRY_S = 10
 
 KEPT = "kept as view {}, which no search will return"
+
+CANCELLED = "cancelled"
+"""Code of the failure of a view whose description somebody cancelled."""
 
 
 @dataclass(frozen=True)
@@ -232,6 +245,8 @@ class EnrollService:
         PoorImage
             The image shows mostly things that move, or adds nothing to the map, and such images are refused; a view
             that this call created is removed, unless another call was told of it meanwhile.
+        Conflict
+            Somebody cancelled the description; a view that this call created is removed, as above.
         DiskFull, StorageFailed
             The description cannot be stored now, and the view that this call created is removed. Where it cannot be
             removed, or was there before, it stays pending and is described later: that is no error.
@@ -247,11 +262,11 @@ class EnrollService:
             code, detail = record.failure
             if code == NothingStatic.code:
                 raise NothingStatic(f"{detail} ({KEPT.format(record.id)})")
+            if not self._undone(submitted):  # a view that another call was told of stays
+                detail = f"{detail} ({KEPT.format(record.id)})"
             if code == PoorImage.code:
-                gone = self._undone(submitted)  # a view that another call was told of stays
-                raise PoorImage(detail if gone else f"{detail} ({KEPT.format(record.id)})")
-            gone = self._undone(submitted)
-            raise RevisitError(detail if gone else f"{detail} ({KEPT.format(record.id)})")
+                raise PoorImage(detail)
+            raise Conflict(detail) if code == CANCELLED else RevisitError(detail)
         try:
             return self._told(accepted, view)
         except StorageFailed:
