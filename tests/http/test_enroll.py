@@ -119,33 +119,6 @@ def test_several_images_are_each_answered(client: CheckedClient) -> None:
     assert error["type"] == URN + "not-a-picture"
 
 
-def test_several_of_which_some_may_be_taken_later_are_not_repeated_from_memory(
-    client: CheckedClient, recogniser: FakeRecogniser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The queue has room for one; the call is repeated with its key once there is room for all."""
-    whole, keyed = recogniser._enroll, {"Idempotency-Key": "walk-7"}
-    room = iter([True, False, False, *[True] * 9])
-
-    def full(*given: Any) -> Any:
-        return whole(*given) if next(room) else Busy("1000 wait", 17)
-
-    monkeypatch.setattr(recogniser, "_enroll", full)
-
-    first = client.post("/enroll", files=files(photo(1), photo(2), photo(3)), headers=keyed)
-    assert (first.status_code, first.headers["retry-after"]) == (207, "17")
-    assert [error["status"] for error in first.json()["errors"]] == [429, 429]
-
-    again = client.post("/enroll", files=files(photo(1), photo(2), photo(3)), headers=keyed)
-    assert again.status_code == 201
-    assert "idempotent-replayed" not in again.headers
-    assert [view["created"] for view in again.json()["views"]] == [False, True, True]
-
-    partly = [client.post("/enroll", files=files(photo(4), b"no"), headers={"Idempotency-Key": "8"}) for _ in range(2)]
-    assert [answer.status_code for answer in partly] == [207, 207]
-    assert "idempotent-replayed" in partly[1].headers
-    assert "retry-after" not in partly[1].headers
-
-
 def test_a_place_has_one_name_however_its_accents_are_written(client: CheckedClient) -> None:
     for number, written in enumerate(("Caf\u00e9", "Cafe\u0301")):
         answer = client.post("/enroll", files=files(photo(number)), data={"place": written})

@@ -9,8 +9,12 @@ import pytest
 
 from app.http import enrolment_presenters
 from app.http.recognise import Recogniser
-from schemas.errors import NotFound, RevisitError
+from schemas.errors import Busy, NotFound, RevisitError
 from schemas.records import ViewAttributes, ViewRecord
+from tests.http.fakes import FakeRecogniser
+from tests.http.test_enroll import files
+from tests.openapi import CheckedClient
+from tests.sample_images import photo
 from worker.service.enroll import Accepted
 from worker.service.settlements import Settlements
 
@@ -38,3 +42,30 @@ def test_one_that_is_deleted_while_it_waits_does_not_hide_what_became_of_the_oth
     assert [found[0], found[2]] == ["first", "last"]
     assert isinstance(found[1], RevisitError)
     assert "deleted" in found[1].detail
+
+
+def test_several_of_which_some_may_be_taken_later_are_not_repeated_from_memory(
+    client: CheckedClient, recogniser: FakeRecogniser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The queue has room for one; the call is repeated with its key once there is room for all."""
+    whole, keyed = recogniser._enroll, {"Idempotency-Key": "walk-7"}
+    room = iter([True, False, False, *[True] * 9])
+
+    def full(*given: Any) -> Any:
+        return whole(*given) if next(room) else Busy("1000 wait", 17)
+
+    monkeypatch.setattr(recogniser, "_enroll", full)
+
+    first = client.post("/enroll", files=files(photo(1), photo(2), photo(3)), headers=keyed)
+    assert (first.status_code, first.headers["retry-after"]) == (207, "17")
+    assert [error["status"] for error in first.json()["errors"]] == [429, 429]
+
+    again = client.post("/enroll", files=files(photo(1), photo(2), photo(3)), headers=keyed)
+    assert again.status_code == 201
+    assert "idempotent-replayed" not in again.headers
+    assert [view["created"] for view in again.json()["views"]] == [False, True, True]
+
+    partly = [client.post("/enroll", files=files(photo(4), b"no"), headers={"Idempotency-Key": "8"}) for _ in range(2)]
+    assert [answer.status_code for answer in partly] == [207, 207]
+    assert "idempotent-replayed" in partly[1].headers
+    assert "retry-after" not in partly[1].headers
