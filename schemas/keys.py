@@ -58,6 +58,10 @@ class Access:
         """Whether the caller may use a map."""
         return self.maps is None or map_name in self.maps
 
+    def own(self, name: str) -> str:
+        """A name that the caller gave something, told apart from the same name given with any other key."""
+        return name if self.key_id is None else f"{name} of {self.key_id}"
+
 
 UNRESTRICTED = Access("admin")
 """Of every caller of a service without keys."""

@@ -47,7 +47,7 @@ def key_of(request: Request, access: Access) -> str | None:
         return None
     if len(keys) > 1 or not _KEY.fullmatch(keys[0]):
         raise InvalidParameters.of(HEADER, "needs to be one value of 1 to 255 visible ASCII characters")
-    return keys[0] if access.key_id is None else f"{keys[0]} of {access.key_id}"
+    return access.own(keys[0])
 
 
 def fingerprint(images: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:

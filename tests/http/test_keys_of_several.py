@@ -26,18 +26,19 @@ def client(runtime: FakeRuntime) -> Iterator[CheckedClient]:
         yield client
 
 
-def test_idempotency_keys_of_images_of_a_drive_are_their_senders_own(
+def test_drives_and_the_idempotency_keys_of_their_images_are_their_senders_own(
     runtime: FakeRuntime, client: CheckedClient, keys: KeyMaker
 ) -> None:
-    """Two cameras of one drive may count their images alike."""
-    calls = set()
+    """Two robots may call their drives alike, and count their images alike."""
+    calls, drives = set(), set()
     for name in ("left", "right"):
         headers = {"content-type": "image/jpeg", "x-api-key": keys.make(name, "write"), "idempotency-key": "1"}
         client.post("/enroll?map=belfry", content=photo(), headers=headers)
         assert client.post("/query?map=belfry&drive=robot-7", content=photo(), headers=headers).status_code == 200
         calls.add(runtime.recogniser.given["call"])
+        drives.add(runtime.recogniser.given["drive"])
 
-    assert len(calls) == 2
+    assert (len(calls), len(drives)) == (2, 2)
 
 
 @pytest.mark.parametrize(("allowed", "status"), [(("belfry",), 404), (("belfry", "crypt"), 200)])

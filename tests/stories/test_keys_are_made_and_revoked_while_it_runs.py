@@ -103,3 +103,23 @@ def test_two_tenants_of_one_service_see_nothing_of_one_another(tmp_path: Path) -
                 return str(answer.json()["errors"][0]["detail"]).replace(view, "ID")
 
             assert told(views[other]) == told("0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90")
+
+
+def test_two_robots_may_call_their_drives_alike(tmp_path: Path) -> None:
+    """Each has a key, and both are configured alike: the images of one say nothing of where the other is."""
+    runtime = build(settings(tmp_path))
+    with CheckedClient(create_app(runtime)) as client:
+        made = {
+            name: {"x-api-key": runtime.services.keys.create(name, "write", datetime.now(UTC), maps=["depot"])[1]}
+            for name in ("left", "right")
+        }
+        files = {"image": ("a.jpg", encoded(drawn(320, 240, 1), "jpeg"))}
+        assert client.post("/enroll?map=depot", headers=made["left"], files=files).status_code == 201
+
+        def images(name: str) -> int:
+            address = "/query?map=depot&drive=robot-1&consistent=2"
+            answer = client.post(address, headers=made[name], files=files).json()
+            assert answer["drive"]["agreeing"] <= answer["drive"]["images"]
+            return int(answer["drive"]["images"])
+
+        assert [images(name) for name in ("left", "right", "left", "right")] == [1, 1, 2, 2]

@@ -66,7 +66,7 @@ async def query(
         filters=params.filters(),
         precision=params.precision,
         explain=params.explain or params.changes,
-        drive=params.drive,
+        drive=None if params.drive is None else access.own(params.drive),
         drive_timeout_s=params.drive_timeout,
         consistent=params.consistent,
         call=call,
