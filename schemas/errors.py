@@ -18,6 +18,7 @@
     ├── DiskFull           disk-full
     ├── Damaged            damaged               (also the failure code of a view whose stored data is damaged)
     ├── LeaseLost          lease-lost            (in workers; never sent to a client)
+    ├── CallerGone         caller-gone           (nobody is left to be sent it)
     ├── DescriptorMismatch descriptor-mismatch   (descriptors do not fit the vocabulary)
     └── SetupError         setup                 (the service cannot start as it is configured)
 
@@ -275,6 +276,15 @@ class LeaseLost(RevisitError):
     """A worker reported on a job that another worker has claimed meanwhile, or that was cancelled or deleted."""
 
     code = "lease-lost"
+
+
+class CallerGone(RevisitError):
+    """Whoever asked has closed the connection before anything was done."""
+
+    code = "caller-gone"
+
+    def __init__(self) -> None:
+        super().__init__("the caller closed the connection before the turn of this request came")
 
 
 class DescriptorMismatch(RevisitError):

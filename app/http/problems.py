@@ -18,6 +18,7 @@ from schemas.errors import (
     MOST_MISTAKES,
     BadBody,
     Busy,
+    CallerGone,
     InvalidParameters,
     NotFound,
     ParameterError,
@@ -248,9 +249,14 @@ async def _broken_off(request: Request, error: Exception) -> Response:
     return problem_of(BadBody("malformed-body", "the connection closed before the body ended"), request_id(request))
 
 
+async def _unanswered(request: Request, error: Exception) -> None:
+    """Send nothing: the access log and the metrics have the status 0, as of every connection that broke."""
+
+
 def install(app: FastAPI) -> None:
     """Register the handlers; `app.http.middleware.RequestContext` answers all other exceptions."""
     app.add_exception_handler(RevisitError, _refused)
     app.add_exception_handler(HTTPException, _http)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(ClientDisconnect, _broken_off)
+    app.add_exception_handler(CallerGone, _unanswered)  # type: ignore[arg-type]  # Starlette sends no None

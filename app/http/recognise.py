@@ -14,6 +14,7 @@ from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError, StorageFailed
 from schemas.records import Filters, ViewAttributes
+from worker.service.caller import Caller
 from worker.service.enroll import Accepted, EnrollService
 from worker.service.query import QueryService
 from worker.service.settlements import Settlements
@@ -132,6 +133,7 @@ class Recogniser:
         consistent: int | None = None,
         call: str | None = None,
         keep: bool = True,
+        caller: Caller | None = None,
     ) -> wire.QueryAnswer:
         """Rank the views of some maps that may show the place of an image; raises as `QueryService.query`."""
         query = partial(
@@ -148,6 +150,7 @@ class Recogniser:
             consistent=consistent,
             call=call,
             keep=keep,
+            caller=caller,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
         answer = presenters.query_answer(result)

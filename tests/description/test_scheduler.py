@@ -147,6 +147,24 @@ def test_more_queries_than_are_let_in_are_refused_with_a_time_to_come_back() -> 
     scheduler.submit(image(4), number_of, urgent=False)  # enrolments have a queue of their own
 
 
+def test_queries_that_were_given_up_take_nobodys_turn_and_no_place_in_the_queue() -> None:
+    encoder = GatedEncoder()
+    scheduler = Scheduler(encoder, batch=1, queries=2 * IN_A_ROW)
+    scheduler.start()
+    given_up = [scheduler.submit(image(50 + n), number_of, urgent=True) for n in range(2 * IN_A_ROW)]
+    encoder.entered.acquire()  # the first query is being encoded
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2)]
+    assert [future.cancel() for future in given_up] == [False] + [True] * (2 * IN_A_ROW - 1)
+    assert scheduler.queries_waiting == 1
+
+    query = scheduler.submit(image(7), number_of, urgent=True)
+    encoder.gate.release(4)
+    assert query.result(PATIENCE_S).value == 7
+    assert [future.result(PATIENCE_S).value for future in enrolments] == [1, 2]
+    assert encoder.seen == [50, 7, 1, 2]
+    scheduler.stop()
+
+
 def test_stopping_serves_what_was_submitted_and_refuses_what_comes_after() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)

@@ -140,6 +140,7 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
         filters: Filters,
         precision: float | None,
         explain: bool,
+        caller: Any = None,
         **drive: Any,
     ) -> wire.QueryAnswer:
         map_name = maps[0]

@@ -54,6 +54,10 @@ class _Request(Waiting):
     made: "Future[Any] | None" = None
     context: contextvars.Context = field(default_factory=contextvars.copy_context)  # of its log lines
 
+    @property
+    def given_up(self) -> bool:
+        return self.future.cancelled()
+
 
 class Scheduler:
     """One thread runs the encoder, two more run `parallel` and `finish` functions while it is busy.
@@ -64,7 +68,8 @@ class Scheduler:
 
     A query waits for the running batch and for earlier queries; of queued enrolments one has its turn after each
     `IN_A_ROW` queries. Its `finish` runs in the encoder's thread, so that it does not wait for the description of an
-    enrolment either.
+    enrolment either. A request whose future is cancelled before its turn is not encoded, and counts no longer as one
+    that waits.
 
     While a shared encoder is away queries fail with EncoderAway; enrolments wait until it is back.
 

@@ -28,6 +28,11 @@ class Waiting:
     urgency: int
     number: int
 
+    @property
+    def given_up(self) -> bool:
+        """Whether nobody waits for it any more: it takes nobody's turn."""
+        return False
+
 
 R = TypeVar("R", bound=Waiting)
 
@@ -75,6 +80,8 @@ class Turns(Generic[R]):
         return QUERY if queries else CLOSE
 
     def _take(self, urgency: int) -> R:
-        passed = urgency == QUERY and bool(self._requests[ENROLMENT])
-        self._in_a_row = self._in_a_row + 1 if passed else 0
-        return heapq.heappop(self._requests[urgency])
+        request = heapq.heappop(self._requests[urgency])
+        if not request.given_up:
+            passed = urgency == QUERY and bool(self._requests[ENROLMENT])
+            self._in_a_row = self._in_a_row + 1 if passed else 0
+        return request

@@ -20,6 +20,7 @@ from worker.method.decision import GROUPED, Decision, blame_image, decide, of_no
 from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
 from worker.service import moving
+from worker.service.caller import Caller
 from worker.service.day_scores import ScoreKeeper
 from worker.service.drives import Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
@@ -168,6 +169,7 @@ class QueryService:
         consistent: int | None = None,
         call: str | None = None,
         keep: bool = True,
+        caller: Caller | None = None,
     ) -> QueryResult:
         """Which views of some maps show the place of an image.
 
@@ -198,13 +200,18 @@ class QueryService:
             Names the call: repeated, it is the same image of the drive, which counts once.
         keep : bool
             Whether the image may be kept among the maps' unknown places, or as a proposed view.
+        caller : Caller, optional
+            Whoever waits for the answer. Where they leave before the turn of the image comes, no drive counts it and
+            nothing is kept of it; from then on the query is finished without them.
 
         Raises
         ------
-        BadImage, NotFound, NothingStatic, InvalidParameters, Busy, Unavailable
+        BadImage, NotFound, NothingStatic, InvalidParameters, Busy, Unavailable, CallerGone
         """
         if drive is not None and len(maps) > 1:
             raise InvalidParameters.of("drive", "goes with one map")
+        caller = caller or Caller()
+        caller.check()
         began = time.perf_counter()
         # Unknown maps and views are refused before any work is done.
         describers = {name: self._searcher.describer(name) for name in maps}
@@ -212,7 +219,7 @@ class QueryService:
         image = self._decode(data)
         decoded = time.perf_counter()
         found, described = self._searcher.describe_and_search(
-            image, wanted, describers, top=max(top, GROUPED), candidates=candidates
+            image, wanted, describers, top=max(top, GROUPED), candidates=candidates, caller=caller
         )
         decisions = [_decide(one.results, precision, top, candidates) for one in found]
         if blank := self._is_blank(image):

@@ -24,6 +24,7 @@ from worker.method.joining import pooled
 from worker.search.fetcher import Fetcher
 from worker.search.merging import merged
 from worker.search.ports import Catalogue, DescriptionReader, Selecting
+from worker.service.caller import Caller
 from worker.service.ports import Comparisons, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView, SearchedMap, SearchOutcome
 from worker.service.stopwatch import Stopwatch
@@ -77,9 +78,12 @@ class Searcher:
         """The describer of a map's recipe; raises NotFound."""
         return self._describers.of(self._maps.get(map_name).description)
 
-    def describe(self, image: Image, describer: Describer) -> Timed[Description]:
-        """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy."""
-        return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
+    def describe(self, image: Image, describer: Describer, caller: Caller | None = None) -> Timed[Description]:
+        """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy, CallerGone."""
+        caller = caller or Caller()
+        caller.check()
+        submitted = self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints)
+        return caller.result(submitted)
 
     def describe_and_search(
         self,
@@ -89,6 +93,7 @@ class Searcher:
         *,
         top: int,
         candidates: int | None,
+        caller: Caller | None = None,
     ) -> tuple[list[SearchOutcome], list[Timed[Description]]]:
         """Describe an image by each recipe of some maps, and search; repeated when a recipe changes in between.
 
@@ -99,6 +104,8 @@ class Searcher:
             As for `search`; the maps may have different recipes.
         describers : mapping of str to Describer
             By the names of the maps, as `describer` gave them.
+        caller : Caller, optional
+            Whoever waits for it, and may leave; raises CallerGone.
 
         Returns
         -------
@@ -115,7 +122,7 @@ class Searcher:
                     describer = describers[next(iter(together))]
                     recipe = describer.recipe
                     if recipe.id not in described:
-                        described[recipe.id] = self.describe(image, describer)
+                        described[recipe.id] = self.describe(image, describer, caller)
                     description = described[recipe.id].value
                     results = self.search(together, recipe, description, top=top, candidates=candidates)
                     found.append(SearchOutcome(description, results))

@@ -10,6 +10,7 @@ from fastapi.responses import Response
 
 from app.http import compreface as shapes
 from app.http.body import json_object
+from app.http.callers import caller_of
 from app.http.curate import Curator
 from app.http.dependencies import Curates, MapName, Measures, Recognises, ViewId, checked, no_parameters
 from app.http.openapi import OF_IMAGES, answers_bytes, refusals, takes_json
@@ -243,17 +244,19 @@ async def verify(
 
 async def _query(request: Request, name: str, recogniser: Recogniser, metrics: Measures) -> QueryAnswer:
     _, image = await shapes.one_image(request)
-    answer = await recogniser.query(
-        image,
-        name,
-        top=10,
-        candidates=None,
-        filters=Filters(),
-        precision=None,
-        explain=False,
-        drive=None,
-        drive_timeout_s=60.0,
-    )
+    async with caller_of(request) as caller:
+        answer = await recogniser.query(
+            image,
+            name,
+            top=10,
+            candidates=None,
+            filters=Filters(),
+            precision=None,
+            explain=False,
+            drive=None,
+            drive_timeout_s=60.0,
+            caller=caller,
+        )
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
     return answer

@@ -10,6 +10,7 @@ from fastapi.responses import Response
 from pydantic import ValidationError
 
 from app.http.body import json_object
+from app.http.callers import caller_of
 from app.http.dependencies import Measures, Recognises, checked
 from app.http.geopose import OSCP, OSCP_VERSION, GeoPoseRequest, oscp_answer, speaks_oscp
 from app.http.keys import Accesses, check_map
@@ -81,18 +82,20 @@ async def localize(
     wanted = _read(await json_object(request, LARGEST))
     charge_images(request, 1)
     near = wanted.near()
-    answer = await recogniser.query(
-        await asyncio.to_thread(wanted.image),
-        params.map,
-        top=5,
-        candidates=None,
-        filters=Filters(near=near, geographic=None if near is None else True),
-        precision=params.precision,
-        explain=False,
-        drive=None,
-        drive_timeout_s=60.0,
-        keep=wanted.may_be_kept(),
-    )
+    async with caller_of(request) as caller:
+        answer = await recogniser.query(
+            await asyncio.to_thread(wanted.image),
+            params.map,
+            top=5,
+            candidates=None,
+            filters=Filters(near=near, geographic=None if near is None else True),
+            precision=params.precision,
+            explain=False,
+            drive=None,
+            drive_timeout_s=60.0,
+            keep=wanted.may_be_kept(),
+            caller=caller,
+        )
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
     try:

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from app.http.body import IMAGE_PART, take
+from app.http.callers import caller_of
 from app.http.changes_report import put_off
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import QUERY_ANSWER
@@ -58,23 +59,26 @@ async def query(
     for name in params.searched():
         check_map(access, name)
     call = key_of(request, access)
-    answer = await recogniser.query(
-        sent.images[0][1],
-        *params.searched(),
-        top=params.top,
-        candidates=params.candidates,
-        filters=params.filters(),
-        precision=params.precision,
-        explain=params.explain or params.changes,
-        drive=None if params.drive is None else access.own(params.drive),
-        drive_timeout_s=params.drive_timeout,
-        consistent=params.consistent,
-        call=call,
-    )
-    if params.changes:
-        answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
-    metrics.stages("query", answer.timing_ms)
-    metrics.verdict(answer.status, answer.reason.code)
+    async with caller_of(request) as caller:
+        answer = await recogniser.query(
+            sent.images[0][1],
+            *params.searched(),
+            top=params.top,
+            candidates=params.candidates,
+            filters=params.filters(),
+            precision=params.precision,
+            explain=params.explain or params.changes,
+            drive=None if params.drive is None else access.own(params.drive),
+            drive_timeout_s=params.drive_timeout,
+            consistent=params.consistent,
+            call=call,
+            caller=caller,
+        )
+        metrics.stages("query", answer.timing_ms)
+        metrics.verdict(answer.status, answer.reason.code)
+        if params.changes:
+            caller.check()  # it has photos encoded
+            answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
     if wants_geopose(request.headers.get("accept", "")):
         return Response(json.dumps(basic_ypr(answer)), media_type=OGC)
     return Response(answer.model_dump_json(), media_type="application/json")
