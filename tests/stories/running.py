@@ -168,12 +168,17 @@ class RunningService:
 
 
 class RunningEncoder(RunningService):
-    """`revisit encode`, of the built-in encoder."""
+    """`revisit encode`, of the built-in encoder. It keeps nothing, so that there is no database to make."""
 
     command = "encode"
 
     def __init__(self, port: int = 0, ready: bool = True, /, **environment: str) -> None:
-        super().__init__(ROOT, ready, **{"REVISIT_ENCODER": "compact", "REVISIT_PORT": str(port), **environment})
+        ours = {
+            "REVISIT_ENCODER": "compact",
+            "REVISIT_PORT": str(port),
+            "REVISIT_DATABASE": "sqlite:///nowhere/revisit.db",
+        }
+        super().__init__(ROOT, ready, **{**ours, **environment})
 
 
 @contextmanager
