@@ -172,7 +172,7 @@ def test_a_place_takes_ten_views_from_proposals_and_no_more(town: Town, monkeypa
     [view] = town.accept(road, unconfirmed=True).json()["views"]
     town.settle()
 
-    town.at_night("station road", -0.9)  # from the other side, it looks unlike the night view too
+    town.at_night("station road", -1.5)  # from the other side, it looks unlike the night view too
     [road] = town.proposals()["proposals"]
     refused = town.accept(road, unconfirmed=True)
     assert (refused.status_code, "as many as are taken" in refused.json()["detail"]) == (409, True)
