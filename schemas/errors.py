@@ -11,7 +11,7 @@
     ├── NothingStatic      nothing-static        PoorImage   poor-picture
     ├── NotFound           not-found             ImageNotKept image-not-kept
     ├── ViewDeleted        not-found             (in reports of imports)
-    ├── Conflict           conflict              BlurChanged, RecipeChanged conflict
+    ├── Conflict           conflict              BlurChanged, RecipeChanged, Cancelled conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden       OtherSite other-site
     ├── Busy               too-many-requests     Unavailable, StorageFailed, EncoderAway  unavailable
@@ -187,6 +187,10 @@ class Conflict(RevisitError):
     """The request contradicts stored data or a running job."""
 
     code = "conflict"
+
+
+class Cancelled(Conflict):
+    """Somebody cancelled the description of an image, which is described where it is sent again."""
 
 
 class BlurChanged(Conflict):

@@ -217,7 +217,9 @@ class RankingConfig(Identified):
         70 / 520, description="tau: longest edge of a context graph, in fractions of the longer side."
     )
     verified_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
-        10, description="How many of the best are verified by local features; 0: none."
+        10,
+        description="How many are verified by local features: the best, and as many as if the first place had one "
+        "view; 0: none.",
     )
 
     same_place_m: Annotated[float, Field(ge=0, le=100_000)] = Field(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.console import DONE, Verbs, progress_bar, show, show_json, speaks, table, wrong_use
+from schemas.values import composed
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -116,7 +117,7 @@ def _row(path: Path, line: int, row: Mapping[str, str | None]) -> Row:
     if "place" not in row:
         first, second = (_number(path, line, row, name) for name in FRAMES[geographic])
         position = first, second
-    return Row(image, row.get("place") or None, position, geographic, row.get("block") or None)
+    return Row(image, composed(row.get("place") or "") or None, position, geographic, row.get("block") or None)
 
 
 def _number(path: Path, line: int, row: Mapping[str, str | None], name: str) -> float:
@@ -131,7 +132,7 @@ def _number(path: Path, line: int, row: Mapping[str, str | None], name: str) -> 
 
 def _refuse_unknown_places(revisit: "Revisit", map_name: str, rows: list[Row]) -> None:
     named = {row.place for row in rows if row.place is not None}
-    if named and (unknown := sorted(named - {place.place for place in revisit.places(map_name)})):
+    if named and (unknown := sorted(named - {composed(place.place) for place in revisit.places(map_name)})):
         first = ", ".join(map(repr, unknown[:5]))
         wrong_use(f"no view of the map {map_name} shows {first}; leave place empty where none of its places is right")
 
@@ -140,7 +141,7 @@ def _observed(revisit: "Revisit", map_name: str, row: Row, answer: "QueryAnswer"
     """The answer and whether its first place is right, for `Revisit.calibrate`."""
     first = answer.places[0] if answer.places else None
     known = row.place is not None
-    right = first is not None and known and first.place == row.place
+    right = first is not None and known and first.place is not None and composed(first.place) == row.place
     if row.position is not None:
         right = first is not None and first.position is not None and _metres(row, first.position) <= within
         around = (*row.position, max(within, 0.01))

@@ -63,6 +63,10 @@ class Calls(Protocol):
         ...
 
 
+DRAWN_AT_ONCE = 2
+"""Photos that are drawn on at once: one while the network finds what to draw on the next."""
+
+
 class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
     """Everything a user does besides enrolling and querying.
 
@@ -105,6 +109,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self._snapshots, self._imports, self._shadows = snapshots, imports, shadows
         self._changes = changes
         self._long = LongWork()
+        self._drawings = asyncio.Semaphore(DRAWN_AT_ONCE)
 
     # views
 
@@ -174,8 +179,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def segmentation(self, view_id: str, overlay: bool, legend: bool) -> bytes:
         """The segmentation of a view as an indexed PNG, or blended over the photo, with or without a key."""
-        draw = partial(self._renderings.segmentation, overlay=overlay, legend=legend)
-        return await self._long.run(draw, view_id)
+        return await self._drawn(partial(self._renderings.segmentation, overlay=overlay, legend=legend), view_id)
 
     def segmented_by(self) -> str:
         """The network whose labels a segmentation shows."""
@@ -183,7 +187,12 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def graph(self, view_id: str, legend: bool) -> bytes:
         """The context graph, drawn over the photo, with or without a key."""
-        return await self._long.run(partial(self._renderings.graph, legend=legend), view_id)
+        return await self._drawn(partial(self._renderings.graph, legend=legend), view_id)
+
+    async def _drawn(self, draw: Callable[[str], bytes], view_id: str) -> bytes:
+        """A drawing; while it waits for others, it keeps no thread from other long work and holds no photo."""
+        async with self._drawings:
+            return await self._long.run(draw, view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """An ETag that changes whenever the image does; `kind` names the image and its options."""

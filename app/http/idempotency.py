@@ -12,7 +12,7 @@ from fastapi.responses import Response
 
 from app.http.curate import Curator
 from app.http.problems import problem_of, request_id
-from schemas.errors import InvalidParameters, RevisitError
+from schemas.errors import Cancelled, InvalidParameters, RevisitError
 from schemas.keys import Access
 from schemas.records import Replay
 
@@ -65,7 +65,7 @@ async def once(
     """Do the work, or repeat the answer that a call with this key got.
 
     4xx answers are repeated too. 429 and 5xx are forgotten, so that the caller can try again, and so is an answer with
-    Retry-After: a part of its work was put off.
+    Retry-After, since a part of its work was put off, or that of a description that somebody cancelled.
 
     Parameters
     ----------
@@ -89,15 +89,17 @@ async def once(
     replay = await curator.begin_call(key, print_)
     if replay is not None:
         return Response(replay.body, replay.status, {**replay.headers, REPLAYED: "true"})
+    put_off = False
     try:
         try:
             response = await work()
         except RevisitError as error:
             response = problem_of(error, request_id(request))
+            put_off = isinstance(error, Cancelled)
     except BaseException:
         await _abandon(curator, key)
         raise
-    if response.status_code >= 500 or response.status_code == 429 or "retry-after" in response.headers:
+    if put_off or response.status_code >= 500 or response.status_code == 429 or "retry-after" in response.headers:
         await _abandon(curator, key)
         return response
     kept = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}

@@ -86,7 +86,7 @@ class Recogniser:
         -------
         list
             For each image, in order, its view or the error. A refused image leaves nothing behind, except one without
-            static cells, which is kept as a `failed` view.
+            static cells, and one that another call was told of meanwhile, which are kept as `failed` views.
         """
         until = time.monotonic() + self._wait_s
         accepted = [

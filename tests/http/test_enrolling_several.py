@@ -65,6 +65,13 @@ def test_several_of_which_some_may_be_taken_later_are_not_repeated_from_memory(
     assert "idempotent-replayed" not in again.headers
     assert [view["created"] for view in again.json()["views"]] == [False, True, True]
 
+    for lasts in (RevisitError("a worker took this image 3 times"), NotFound("view", "1")):
+        monkeypatch.setattr(
+            recogniser, "_enroll", lambda *given, error=lasts: error if given[0] == photo(6) else whole(*given)
+        )
+        failed = client.post("/enroll", files=files(photo(5), photo(6)))
+        assert (failed.status_code, "retry-after" in failed.headers) == (207, False)
+    monkeypatch.setattr(recogniser, "_enroll", whole)
     partly = [client.post("/enroll", files=files(photo(4), b"no"), headers={"Idempotency-Key": "8"}) for _ in range(2)]
     assert [answer.status_code for answer in partly] == [207, 207]
     assert "idempotent-replayed" in partly[1].headers

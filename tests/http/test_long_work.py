@@ -47,3 +47,28 @@ def test_an_image_is_shown_while_many_wait_for_what_takes_long(
             await asyncio.gather(*waiting, return_exceptions=True)
 
     assert asyncio.run(meanwhile()) == (b"image", "image/png")
+
+
+@pytest.mark.parametrize(
+    "draw", [lambda curator: curator.graph("view", False), lambda c: c.segmentation("view", True, False)]
+)
+def test_other_long_work_is_done_while_many_wait_for_drawings(draw: Callable[[Curator], Awaitable[object]]) -> None:
+    """Those that wait for their turn hold none of the threads in which long work is done."""
+    ends = threading.Event()
+    parts = {name: Mock() for name in PARTS}
+    parts["renderings"].graph.side_effect = parts["renderings"].segmentation.side_effect = lambda *_, **__: ends.wait(
+        30
+    )
+    curator = Curator(**parts)
+
+    async def meanwhile() -> object:
+        waiting = [asyncio.ensure_future(draw(curator)) for _ in range(MANY)]
+        await asyncio.sleep(0)
+        try:
+            return await asyncio.wait_for(curator._long.run(lambda: "done"), 10)
+        finally:
+            ends.set()
+            await asyncio.gather(*waiting)
+
+    assert asyncio.run(meanwhile()) == "done"
+    assert parts["renderings"].graph.call_count + parts["renderings"].segmentation.call_count == MANY

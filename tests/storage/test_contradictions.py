@@ -29,10 +29,3 @@ def test_a_time_said_to_more_than_the_second_that_is_kept_is_the_same(
 )
 def test_any_other_time_is_another(kept: datetime | None, anew: datetime) -> None:
     assert of_times(kept, anew) == ["captured_at"]
-
-
-@pytest.mark.parametrize("kept", ["Caf\u00e9", "Cafe\u0301"])
-def test_a_place_is_the_same_however_its_accents_are_written(kept: str) -> None:
-    """Before names were composed they were kept as they came."""
-    assert contradictions(ViewAttributes(kept), ViewAttributes("Caf\u00e9")) == []
-    assert contradictions(ViewAttributes(kept), ViewAttributes("Cafe")) == ["place"]

@@ -96,6 +96,8 @@ def test_a_place_is_found_however_accents_are_written_here_and_there(
 
     store.listings._columns = cache(store)
 
+    assert store.views.get(there.id).attributes.place == "Caf\u00e9"
+    assert not enroll(store, "terrace", attributes=ViewAttributes("Caf\u00e9")).created
     for _ in range(2):  # by the database, and by what is in memory then
         assert chosen(store, Filters(place=looked_for)) == ([there.seq], [])
     assert by_database(store, Filters(place=looked_for)) == ([there.seq], [])

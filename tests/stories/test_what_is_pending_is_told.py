@@ -58,7 +58,8 @@ def test_whoever_waits_is_told_that_the_description_was_cancelled(
     with CheckedClient(create_app(runtime)) as client, ThreadPoolExecutor() as threads:
         if before:
             assert client.post("/enroll?wait=false", content=photo(1), headers=JPEG).status_code == 202
-        waiting = threads.submit(client.post, "/enroll", content=photo(1), headers=JPEG)
+        keyed = {**JPEG, "Idempotency-Key": "walk-7"}
+        waiting = threads.submit(client.post, "/enroll?wait=true", content=photo(1), headers=keyed)
         until(lambda: runtime.settlements._waiting)
         [job] = client.get("/jobs?kind=describe").json()["jobs"]
         assert client.delete(f"/jobs/{job['id']}").json()["state"] == "cancelled"
@@ -69,3 +70,9 @@ def test_whoever_waits_is_told_that_the_description_was_cancelled(
         assert "its description was cancelled; enrol the image again" in told.json()["detail"]
         assert (f"kept as view {job['view']}" in told.json()["detail"]) == before
         assert client.get(f"/views/{job['view']}").status_code == (200 if before else 404)
+        # Sent again with its key, as `detail` says, it is not the old answer.
+        again = threads.submit(client.post, "/enroll?wait=true", content=photo(1), headers=keyed)
+        until(lambda: runtime.settlements._waiting)
+        for one in client.get("/jobs?kind=describe").json()["jobs"]:
+            client.delete(f"/jobs/{one['id']}")
+        assert "idempotent-replayed" not in again.result().headers

@@ -8,6 +8,7 @@ faster; all others (alpha, palette, CMYK, other depths) by Pillow.
 import hashlib
 import io
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -122,7 +123,10 @@ def thumbnail(data: bytes, longest: int) -> bytes:
 
     It has no EXIF, so it does not reveal where a photo was taken.
     """
-    structure = jpeg.Structure.read(data) if image_type(data) == "jpeg" else None
+    structure = None
+    if image_type(data) == "jpeg":
+        with suppress(ValueError):  # of more segments than are taken now
+            structure = jpeg.Structure.read(data)
     whole = data if structure is None else jpeg.ended(data, structure)
     with PilImage.open(io.BytesIO(whole), formats=_FORMATS) as pil_image:
         # A JPEG can be decoded straight to a fraction of its size, which saves most of the time.

@@ -9,7 +9,7 @@ from typing import Any
 
 from schemas.errors import (
     Busy,
-    Conflict,
+    Cancelled,
     DiskFull,
     NotFound,
     NothingStatic,
@@ -245,7 +245,7 @@ class EnrollService:
         PoorImage
             The image shows mostly things that move, or adds nothing to the map, and such images are refused; a view
             that this call created is removed, unless another call was told of it meanwhile.
-        Conflict
+        Cancelled
             Somebody cancelled the description; a view that this call created is removed, as above.
         DiskFull, StorageFailed
             The description cannot be stored now, and the view that this call created is removed. Where it cannot be
@@ -266,7 +266,7 @@ class EnrollService:
                 detail = f"{detail} ({KEPT.format(record.id)})"
             if code == PoorImage.code:
                 raise PoorImage(detail)
-            raise Conflict(detail) if code == CANCELLED else RevisitError(detail)
+            raise Cancelled(detail) if code == CANCELLED else RevisitError(detail)
         try:
             return self._told(accepted, view)
         except StorageFailed:

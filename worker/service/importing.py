@@ -6,7 +6,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -205,10 +204,15 @@ class Importer:
         except NotFound:
             return None
 
-    def drop(self, view_id: str) -> None:
-        """Remove a view; does nothing where it was deleted, or where a call was told of it."""
-        with suppress(NotFound, Conflict):
+    def drop(self, view_id: str) -> bool:
+        """Remove a view, unless a call was told of it; whether it is gone."""
+        try:
             self._removals.delete_view(view_id, undoes=True)
+        except NotFound:
+            return True
+        except Conflict:
+            return False
+        return True
 
     def is_imported(self, view_id: str) -> bool:
         """Whether an import enrolled a view."""
@@ -318,9 +322,8 @@ class _Run:
             self._fail(file, "not-found", f"its view {view_id} was deleted before it was described")
         elif view.state == "failed" and view.failure is not None:
             code, detail = view.failure
-            if own and code == PoorImage.code:  # nobody was told of it: refused, it leaves nothing
-                self._importer.drop(view_id)
-            else:
+            # Refused, it leaves nothing where nobody was told of it.
+            if not (own and code == PoorImage.code and self._importer.drop(view_id)):
                 detail = f"{detail} ({KEPT.format(view_id)})"
             self._fail(file, code, detail)
         elif own:

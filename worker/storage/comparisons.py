@@ -164,7 +164,8 @@ class Comparisons(Part):
                     if not has_whole_attributes(row):
                         damaged.append(row.seq)
                         continue
-                    found[row.seq] = KnownView(row.place, attributes_of(row).position, _same_spot(row))
+                    known = attributes_of(row)
+                    found[row.seq] = KnownView(known.place, known.position, _same_spot(row))
         self._quarantine.views(damaged)
         return found
 

@@ -11,7 +11,6 @@ from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
-from schemas.values import composed
 from worker.storage import checksums, clock, deleted_images, switching
 from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
@@ -40,7 +39,7 @@ from worker.storage.tables import JOBS, METADATA_PAIRS, VIEWS
 def contradictions(kept: ViewAttributes, anew: ViewAttributes) -> list[str]:
     """Names of the fields that `anew` sets to other values than `kept`."""
     differing = []
-    if anew.place is not None and (kept.place is None or composed(anew.place) != composed(kept.place)):
+    if anew.place is not None and anew.place != kept.place:
         differing.append("place")
     for coordinate in COORDINATES:
         value = getattr(anew.position, coordinate)

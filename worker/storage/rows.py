@@ -14,6 +14,7 @@ from schemas.errors import Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import DescriptionRecord, MapRecord, Position, ViewAttributes, ViewRecord
+from schemas.values import composed
 from worker.storage import checksums
 from worker.storage.packing import unpack_floats
 from worker.storage.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
@@ -276,9 +277,10 @@ def _view_of_id() -> sa.Select[Any]:
 
 
 def attributes_of(row: sa.Row[Any]) -> ViewAttributes:
-    """Attributes from the row of a view."""
+    """Attributes from the row of a view; the name of its place composed, as it was not always kept."""
+    place = None if row.place is None else composed(row.place)
     position = Position(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
-    return ViewAttributes(row.place, position, row.captured_at, json.loads(row.metadata), row.filename)
+    return ViewAttributes(place, position, row.captured_at, json.loads(row.metadata), row.filename)
 
 
 def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:

@@ -42,7 +42,7 @@ _ANY = Enrolled | EnrolledMany
         207: {
             "model": EnrolledMany,
             "description": "Some images were refused; `errors` says why. With `Retry-After` repeat the call: the "
-            "service was full, and keeps no such answer for its Idempotency-Key.",
+            "service was full or away, and keeps no such answer for its Idempotency-Key.",
         },
         **refusals(
             "no-picture",
@@ -118,7 +118,7 @@ def _try_again(errors: list[RevisitError]) -> dict[str, str]:
 
 
 def _may_go_away(error: RevisitError) -> bool:
-    return (status := KINDS[code_of(error)].status) == 429 or status >= 500
+    return KINDS[code_of(error)].status in (429, 503, 507)
 
 
 def _status(views: list[Enrolled], some_refused: bool) -> int:
