@@ -190,7 +190,15 @@ class Conflict(RevisitError):
 
 
 class Cancelled(Conflict):
-    """Somebody cancelled the description of an image, which is described where it is sent again."""
+    """Somebody cancelled the description of an image, which is described where it is sent again.
+
+    Attributes
+    ----------
+    failure : str
+        Code of the failure of its view, and of its job.
+    """
+
+    failure = "cancelled"
 
 
 class BlurChanged(Conflict):

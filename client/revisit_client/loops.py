@@ -212,10 +212,12 @@ class LoopCloser:
                 "name another map, or delete this one"
             )
 
+    def _key(self, image: Image, keyframe: Keyframe) -> str:
+        """The same each time that a keyframe is added, so that the service counts it once."""
+        return hashlib.sha256(f"{self._walk} {keyframe}".encode() + named(image)[1]).hexdigest()
+
     def _seen(self, image: Image, keyframe: Keyframe) -> tuple[Loop | None, int]:
         """What a keyframe is recognised as, and how many in a row agree."""
-        # The same each time that it is added, so that the service counts it once.
-        key = hashlib.sha256(f"{self._walk} {keyframe}".encode() + named(image)[1]).hexdigest()
         try:
             answer = self._revisit.query(
                 image,
@@ -223,7 +225,7 @@ class LoopCloser:
                 exclude_last=self._exclude_last,
                 near=None if self._within_m is None else (keyframe.x, keyframe.y, self._within_m),
                 precision=self._precision,
-                idempotency_key=key if self._drive else None,
+                idempotency_key=self._key(image, keyframe) if self._drive else None,
                 **self._drive,
             )
         except RevisitProblem as problem:

@@ -187,8 +187,8 @@ def test_views_that_are_enrolled_and_deleted_meanwhile_are_right_by_both(store: 
 def test_the_rows_of_a_deleted_view_leave_the_table(store: SqlStore) -> None:
     described(store)
     gate, pond = store.views.at(list(Follower(store).catch_up().vectors)).values()
-    rows = [{"id": id, "old": {"view": old}, "new": {"view": new}} for id, old, new in (
-        (gate.id, pond.id, None), ("kept", pond.id, gate.id), ("other", pond.id, pond.id),
+    rows = [{"id": id, "source": source, "old": {"view": old}, "new": {"view": new}} for id, source, old, new in (
+        (gate.id, "view", pond.id, None), ("one", "kept", pond.id, gate.id), ("other", "kept", pond.id, pond.id),
     )]  # fmt: skip
     store.jobs.finish_shadow(claimed(store), {"wanted": 7, "totals": 3, "queries": rows}, NOW)
 

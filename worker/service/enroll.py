@@ -37,9 +37,6 @@ NO_WORKER_RETRY_S = 10
 
 KEPT = "kept as view {}, which no search will return"
 
-CANCELLED = "cancelled"
-"""Code of the failure of a view whose description somebody cancelled."""
-
 
 @dataclass(frozen=True)
 class Accepted:
@@ -266,7 +263,7 @@ class EnrollService:
                 detail = f"{detail} ({KEPT.format(record.id)})"
             if code == PoorImage.code:
                 raise PoorImage(detail)
-            raise Cancelled(detail) if code == CANCELLED else RevisitError(detail)
+            raise Cancelled(detail) if code == Cancelled.failure else RevisitError(detail)
         try:
             return self._told(accepted, view)
         except StorageFailed:

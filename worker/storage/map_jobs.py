@@ -17,7 +17,7 @@ from typing import Any, get_args
 import sqlalchemy as sa
 from uuid6 import uuid7
 
-from schemas.errors import Conflict, Damaged, LeaseLost, NotFound, RecipeChanged
+from schemas.errors import Cancelled, Conflict, Damaged, LeaseLost, NotFound, RecipeChanged
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, deleted_images, forgetting, switching
@@ -31,7 +31,7 @@ from worker.storage.tables import JOBS, MAPS, VIEWS
 
 WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before it was finished; see the worker's log"
 
-CANCELLED = "cancelled", "its description was cancelled; enrol the image again to have it described"
+CANCELLED = Cancelled.failure, "its description was cancelled; enrol the image again to have it described"
 
 
 class MapJobs(Jobs):

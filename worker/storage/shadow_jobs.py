@@ -128,18 +128,12 @@ class ShadowJobs(ImportJobs):
 
 def _of_present_views(connection: sa.Connection, table: Mapping[str, Any]) -> dict[str, Any]:
     """A shadow's table without the rows that name a view which is not there; its totals stay."""
-    rows = [(row, _views_of(row)) for row in table.get("queries", ())]
+    rows = [(row, switching.views_of_row(row)) for row in table.get("queries", ())]
     present: set[str] = set()
     for portion in batches(set().union(*(views for _, views in rows))):
         present |= set(connection.scalars(sa.select(VIEWS.c.id).where(VIEWS.c.id.in_(portion))))
     kept = [row for row, views in rows if views <= present]
     return {**table, "queries": kept} if len(kept) < len(rows) else dict(table)
-
-
-def _views_of(row: Mapping[str, Any]) -> set[str]:
-    """Ids of the views that a row of a shadow's table names."""
-    own = row["id"] if row.get("source") == "view" else None  # else it is that of a kept query
-    return {view for view in (own, row["old"]["view"], row["new"]["view"]) if view is not None}
 
 
 def _shadow(connection: sa.Connection, row: sa.Row[Any]) -> ShadowRecord:

@@ -294,14 +294,16 @@ def drop_rows(connection: sa.Connection, job: str, views: Collection[str] | None
     result = connection.scalar(sa.select(JOBS.c.result).where(JOBS.c.id == job))
     table = {} if result is None else json.loads(result)
     if table.get("queries"):
-        kept = [] if views is None else [row for row in table["queries"] if _named(row).isdisjoint(views)]
+        kept = [] if views is None else [row for row in table["queries"] if views_of_row(row).isdisjoint(views)]
         if len(kept) < len(table["queries"]):
             values = {"result": as_json({**table, "queries": kept})}
             connection.execute(sa.update(JOBS).where(JOBS.c.id == job).values(**values))
 
 
-def _named(row: Mapping[str, Any]) -> set[str]:
-    return {row["id"], row["old"]["view"], row["new"]["view"]}
+def views_of_row(row: Mapping[str, Any]) -> set[str]:
+    """Ids of the views that a row of a shadow's table names."""
+    own = row["id"] if row.get("source") == "view" else None  # else it is that of a kept query
+    return {view for view in (own, row["old"]["view"], row["new"]["view"]) if view is not None}
 
 
 def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
