@@ -4,6 +4,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 
 import pytest
 
@@ -14,7 +15,7 @@ from schemas.log_context import bound, fields
 from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
 from tests.waiting import PATIENCE_S
 from worker.description.priority import LOWER
-from worker.description.scheduler import Scheduler
+from worker.description.scheduler import Scheduler, Timed
 from worker.description.turns import IN_A_ROW
 
 
@@ -163,6 +164,31 @@ def test_queries_that_were_given_up_take_nobodys_turn_and_no_place_in_the_queue(
     assert [future.result(PATIENCE_S).value for future in enrolments] == [1, 2]
     assert encoder.seen == [50, 7, 1, 2]
     scheduler.stop()
+
+
+def test_callers_less_patient_than_the_queue_is_long_are_answered_all_the_same() -> None:
+    """Five ask where one is answered, and each gives up after six such steps."""
+    encoder = GatedEncoder()
+    scheduler = Scheduler(encoder, batch=1, queries=99)
+    scheduler.start()
+    held = scheduler.submit(image(98), number_of, urgent=True)
+    encoder.entered.acquire()
+    waiting: list[tuple[int, Future[Timed[int]]]] = []
+    answered = 0
+    for step in range(40):
+        waiting += [(step, scheduler.submit(image(1), number_of, urgent=True)) for _ in range(5)]
+        for since, future in waiting:
+            if since <= step - 6:
+                future.cancel()
+        encoder.gate.release()
+        encoder.entered.acquire()  # the next one is being encoded
+        in_time = [since for since, future in waiting if future.done() and not future.cancelled()]
+        answered += sum(since > step - 6 for since in in_time)
+        waiting = [(since, future) for since, future in waiting if not future.done()]
+    encoder.gate.release(99)
+    scheduler.stop()
+    assert held.done()
+    assert answered >= 36
 
 
 def test_stopping_serves_what_was_submitted_and_refuses_what_comes_after() -> None:

@@ -1,7 +1,7 @@
 """Whose turn it is at the encoder: queries first, but never for long while enrolments wait."""
 
-import heapq
 import threading
+from bisect import insort
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -41,6 +41,11 @@ class Turns(Generic[R]):
     """A queue that any threads may use: queries before enrolments, `CLOSE` after everything.
 
     After `IN_A_ROW` queries that an enrolment waited for, one enrolment has its turn.
+
+    The oldest query has the turn while callers wait as long as the queue takes. After one that was given up before its
+    turn the newest has the next: the next oldest may be about to be given up too. Served in their order alone, callers
+    with less patience than the queue is long would give up one by one just as they are served (adaptive LIFO: Maurer,
+    Fail at Scale, ACM Queue 13(8), 2015).
     """
 
     def __init__(self) -> None:
@@ -48,11 +53,12 @@ class Turns(Generic[R]):
         self._count = threading.Semaphore(0)
         self._lock = threading.Lock()
         self._in_a_row = 0
+        self._waited_in_vain = False
 
     def put(self, request: R) -> None:
         """Add a request, or give one back: it keeps its place."""
         with self._lock:
-            heapq.heappush(self._requests[request.urgency], request)
+            insort(self._requests[request.urgency], request)
         self._count.release()
 
     def get(self, timeout_s: float | None = None) -> R | None:
@@ -80,8 +86,11 @@ class Turns(Generic[R]):
         return QUERY if queries else CLOSE
 
     def _take(self, urgency: int) -> R:
-        request = heapq.heappop(self._requests[urgency])
+        newest = urgency == QUERY and self._waited_in_vain
+        request = self._requests[urgency].pop(-1 if newest else 0)
         if not request.given_up:
             passed = urgency == QUERY and bool(self._requests[ENROLMENT])
             self._in_a_row = self._in_a_row + 1 if passed else 0
+        if urgency == QUERY:
+            self._waited_in_vain = request.given_up
         return request
