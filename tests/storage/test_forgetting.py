@@ -13,6 +13,7 @@ from tests.storage.conftest import Open
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, finish, image, recipe
 from worker.storage import snapshot_portions
 from worker.storage.examining import examine
+from worker.storage.jobs import ATTEMPTS
 from worker.storage.snapshot_rows import WrittenView
 from worker.storage.store import SqlStore
 from worker.storage.tables import CELLS, MAPS
@@ -252,6 +253,38 @@ def test_images_go_when_a_switch_ends_or_is_cancelled(forgetful: SqlStore, data:
     describe_all(forgetful)
     assert [view.state for view in views(forgetful)] == ["ready", "ready"]
     assert files(data) == set()
+
+
+@pytest.mark.parametrize("ending", ["fails", "is cancelled", "is left by three workers", "goes with its view"])
+def test_images_go_however_the_last_job_of_a_switch_ends(forgetful: SqlStore, data: Path, ending: str) -> None:
+    for view in views(forgetful):
+        forgetful.removals.delete_view(view.id)
+    for name in ("fog", "mist"):
+        enroll(forgetful, name)
+        [claim] = forgetful.jobs.claim("worker", 1)
+        forgetful.jobs.fail(claim, "nothing-static", "nothing but fog", NOW)
+    forgetful.jobs.switch_recipe("campus", recipe("other"), NOW)
+    [fog] = forgetful.jobs.claim("worker", 1)
+    finish(forgetful, fog)
+    assert files(data) == digests("fog", "mist")
+
+    if ending == "fails":
+        [mist] = forgetful.jobs.claim("worker", 1)
+        forgetful.jobs.fail(mist, "nothing-static", "nothing but mist", NOW)
+    elif ending == "is cancelled":
+        [waiting] = forgetful.jobs.list("campus", kind="describe", state="waiting")[0]
+        forgetful.jobs.cancel(waiting.id, NOW)
+    elif ending == "is left by three workers":
+        for _ in range(ATTEMPTS):
+            forgetful.jobs.claim("worker", 1)
+            forgetful.workers.bury([], NOW)
+    else:
+        [mist] = forgetful.jobs.claim("worker", 1)
+        forgetful.removals.delete_view(mist.view.id)
+
+    assert forgetful.maps.get("campus").recipe == recipe("other")
+    assert forgetful.views.get(fog.view.id).state == "ready"
+    assert files(data) == (set() if ending == "goes with its view" else digests("mist"))
 
 
 def test_a_snapshot_has_views_that_are_described_while_it_is_made(

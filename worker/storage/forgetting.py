@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict
 from worker.storage import switching
 from worker.storage.database import Database
-from worker.storage.image_store import ImageStore
+from worker.storage.image_store import ImageStore, forgets
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -62,6 +62,14 @@ def remove_all(database: Database, images: ImageStore, map_id: int) -> None:
             return
         images.discard([row.sha256 for row in rows])
         last = rows[-1].seq
+
+
+def remove_after_switch(database: Database, images: ImageStore, map_id: int) -> None:
+    """Remove the images that a recipe switch needed and that were no longer to be kept; of other maps none."""
+    with database.reading() as connection:
+        keeps_none = forgets(connection, map_id)
+    if keeps_none:
+        remove_all(database, images, map_id)
 
 
 def _refuse_while_read(connection: sa.Connection, row: sa.Row[Any]) -> None:

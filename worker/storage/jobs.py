@@ -110,7 +110,9 @@ class Jobs(Part):
             job = self._held(connection, claim)
             if code == PoorImage.code:
                 _refuse(connection, job, now, detail)
-            self.settle(connection, job, "failed", now, (code, detail))
+            changed_over = self.settle(connection, job, "failed", now, (code, detail))
+        if changed_over is not None:
+            forgetting.remove_after_switch(self._database, self._images, job.map_id)
 
     def _held(self, connection: sa.Connection, claim: Claim) -> sa.Row[Any]:
         """The job of a claim that is still valid; raises LeaseLost."""

@@ -22,7 +22,6 @@ from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, deleted_images, forgetting, switching
 from worker.storage.calls import keep_vocabulary
-from worker.storage.image_store import forgets
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, map_record, maps_named
@@ -223,15 +222,16 @@ class MapJobs(Jobs):
             The job can no longer be cancelled.
         """
 
-        def end(connection: sa.Connection) -> tuple[JobRecord, int | None]:
+        def end(connection: sa.Connection) -> tuple[JobRecord, int | None]:  # and the map whose switch has ended
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
             if job is None:
                 raise NotFound("job", job_id)
             allowed = ("waiting",) if job.kind == "describe" else UNFINISHED
             if job.state not in allowed:
                 raise Conflict(f"the job {job_id} is {job.state}; only a {' or '.join(allowed)} job can be cancelled")
+            ended_switch = job.kind == "recipe"
             if job.kind == "describe":
-                self.settle(connection, job, "cancelled", now, CANCELLED)
+                ended_switch = self.settle(connection, job, "cancelled", now, CANCELLED) is not None
             else:
                 if job.recipe == connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id)):
                     switching.stop_trying_again(connection, job, now, CANCELLED)
@@ -239,13 +239,12 @@ class MapJobs(Jobs):
                     switching.stop(connection, job.map_id, job.recipe, now)
                 kept = _LEFT.get(job.kind, switching.DISCARDED)
                 _end(connection, job.number, "cancelled", now, ("cancelled", kept))
-            forgetful = job.kind == "recipe" and forgets(connection, job.map_id)
-            return record_of(connection, job_id), job.map_id if forgetful else None
+            return record_of(connection, job_id), job.map_id if ended_switch else None
 
         # Its recording, or its half of a snapshot, may be what fills the disk.
-        cancelled, forgetful = self._database.freeing(end)
-        if forgetful is not None:  # images that were kept to be described once more
-            forgetting.remove_all(self._database, self._images, forgetful)
+        cancelled, switched = self._database.freeing(end)
+        if switched is not None:
+            forgetting.remove_after_switch(self._database, self._images, switched)
         return cancelled
 
 

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, DiskFull, StorageFailed
 from schemas.records import Filters
 from schemas.removal import Holding, Removal
-from worker.storage import clock, deleted_images, switching
+from worker.storage import clock, deleted_images, forgetting, switching
 from worker.storage.answers import Answers
 from worker.storage.damage import bury
 from worker.storage.database import Database
@@ -206,6 +206,7 @@ class Removals(Part):
             columns = VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256, VIEWS.c.sent_sha256
             rows = list(connection.execute(sa.select(*columns).where(which)))
             descriptions = searched = queries = scores = 0
+            changed_over = None
             if rows:
                 there = list(connection.execute(_DESCRIBED, {"seqs": seqs}))
                 descriptions, searched = len(there), sum(one.recipe == one.searched_by for one in there)
@@ -218,7 +219,7 @@ class Removals(Part):
                 if not undoes:
                     known = {digest for row in rows for digest in (row.sha256, row.sent_sha256) if digest is not None}
                     deleted_images.note(connection, map_id, known)
-                switching.finish_if_done(connection, map_id, datetime.now(UTC))
+                changed_over = switching.finish_if_done(connection, map_id, datetime.now(UTC))
                 if (shadow := connection.scalar(sa.select(MAPS.c.shadow).where(MAPS.c.id == map_id))) is not None:
                     switching.drop_rows(connection, shadow, {row.id for row in rows})
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
@@ -226,10 +227,12 @@ class Removals(Part):
             # One that is claimed after this transaction reads what this one leaves.
             making = _being_made(connection, map_id)
             counts = descriptions, searched, queries, scores
-            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making)
+            return _Gone(len(rows), _NONE, int(revision), digests, *counts, making, changed_over is not None)
 
         gone = self._database.freeing(remove)
         images = self._images.discard(gone.digests)
+        if gone.ended_switch:
+            forgetting.remove_after_switch(self._database, self._images, map_id)
         self._database.tidy()
         return gone._replace(images=images)
 
@@ -246,6 +249,7 @@ class _Gone(NamedTuple):
     queries: int
     scores: int
     being_made: list[str]
+    ended_switch: bool
 
 
 _NONE = Discarded(0, frozenset())

@@ -12,6 +12,7 @@ from typing import get_args
 import sqlalchemy as sa
 
 from schemas.records import JobKind, WorkerRecord
+from worker.storage import forgetting
 from worker.storage.jobs import ATTEMPTS, WORKER_DIED
 from worker.storage.shadow_jobs import ShadowJobs
 from worker.storage.tables import JOBS, WORKERS
@@ -54,10 +55,14 @@ class Workers(ShadowJobs):
         with self._database.writing(frees=True) as connection:
             connection.execute(sa.delete(WORKERS).where(WORKERS.c.name.in_(list(names))))
             left = list(connection.execute(sa.select(JOBS).where(_ABANDONED).with_for_update()))
+            changed_over = set()
             for job in left:
                 if job.kind == "describe" and job.attempts >= ATTEMPTS:
-                    self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
+                    if self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED)) is not None:
+                        changed_over.add(job.map_id)
                     continue
                 back = {"state": "waiting", "worker": None, "token": None}
                 connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**back))
-            return len(left)
+        for map_id in changed_over:
+            forgetting.remove_after_switch(self._database, self._images, map_id)
+        return len(left)
