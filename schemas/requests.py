@@ -37,7 +37,8 @@ class PutMap(BaseModel):
 class PostRecipe(PutMap):
     """Recipe that a map's views are described by anew; fields left out keep the map's values.
 
-    Errors name the labels, presets or parameters that exist.
+    A `preset` that is named, the map's own too, brings its parameters and ranking as this version has them; of the
+    ranking `precision` and `same_place_m` stay. Errors name the labels, presets or parameters that exist.
     """
 
     shadow: Annotated[int, Field(ge=1, le=MOST_QUERIES)] | None = Field(

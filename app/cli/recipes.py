@@ -33,7 +33,10 @@ def add(verbs: Verbs) -> None:
         "option describes the views anew, and queries use the old recipe until that is done.",
     )
     recipe.add_argument("--map", default="default", help="which map (default: default)")
-    recipe.add_argument("--preset", help="named set of parameters, such as default or paper")
+    recipe.add_argument(
+        "--preset",
+        help="named set of parameters, such as default or paper; the map's own: as this version of the service has it",
+    )
     recipe.add_argument("--labels", metavar="LABEL,...", help="labels that cells are assigned to")
     recipe.add_argument("--dynamic", metavar="LABEL,...", help="labels of things that move; empty: none")
     recipe.add_argument("--parameters", metavar="JSON", help="description parameters that differ from the preset's")

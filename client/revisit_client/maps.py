@@ -48,8 +48,9 @@ class MapCalls:
     ) -> wire.Job:
         """Describe all views of a map by another recipe; until that is done, queries use the old one.
 
-        With `shadow` the map does not change over: so many of its last queries are answered by both recipes. See
-        `shadow`, `switch_to_shadow` and `discard_shadow`.
+        What is None stays. A `preset` that is named, the map's own too, brings its parameters and ranking as the
+        service has them now. With `shadow` the map does not change over: so many of its last queries are answered by
+        both recipes. See `shadow`, `switch_to_shadow` and `discard_shadow`.
         """
         recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
         if shadow is not None:

@@ -72,6 +72,35 @@ def test_other_labels_leave_the_parameters_the_ranking_and_the_views_of_a_map(cl
     assert client.get(answer["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
 
 
+def test_a_map_from_before_changes_over_to_its_preset_as_it_is_now_and_keeps_what_its_user_decided(
+    client: CheckedClient,
+) -> None:
+    before = {"parameters": {"local_features_equalised": True}, "ranking": {"shortlist_looked": 0, "precision": 0.99}}
+    labels = {"labels": ["road", "sky", "building"], "dynamic": []}
+    client.put("/maps/default", json={**before, **labels})
+    client.put("/maps/new")
+    enroll(client, 0)
+    now = client.get("/maps/new").json()
+
+    begun = client.post("/maps/default/recipe", json={"preset": "default"})
+
+    assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
+    facts = client.get("/maps/default").json()
+    assert facts["recipe"]["parameters"] == now["recipe"]["parameters"]
+    assert facts["ranking"] == {**now["ranking"], "precision": 0.99, "id": facts["ranking"]["id"]}
+    assert [label["label"] for label in facts["labels"]] == labels["labels"]
+
+
+def test_another_preset_leaves_what_the_user_decided(client: CheckedClient) -> None:
+    client.put("/maps/default", json={"ranking": {"precision": 0.99, "same_place_m": 40, "candidates": 7}})
+    enroll(client, 0)
+    begun = client.post("/maps/default/recipe", json={"preset": "paper", "ranking": {"same_place_m": 3}})
+    assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
+    ranking = client.get("/maps/default").json()["ranking"]
+    assert (ranking["precision"], ranking["same_place_m"], ranking["preset"]) == (0.99, 3, "paper")
+    assert ranking["candidates"] != 7
+
+
 @pytest.mark.parametrize("begin", ["switch_recipe", "begin_shadow"])
 def test_a_ranking_that_is_changed_while_another_recipe_is_being_begun_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: str

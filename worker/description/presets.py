@@ -231,7 +231,7 @@ def make_recipe(
     preset : str
         Name of the preset when `wanted` has none.
     present : MapRecipe, optional
-        The map's recipe: its parameters are changed instead of the preset's.
+        The map's recipe: where `wanted` names no preset its parameters are changed instead of the preset's.
     vocabulary : Vocabulary, optional
         Used instead of the general vocabulary.
 
@@ -242,7 +242,7 @@ def make_recipe(
     """
     name = wanted.preset or preset
     base = preset_for(name, encoder)
-    if present is not None:
+    if present is not None and wanted.preset is None:
         base = Preset(base.labels, base.dynamic, present.description.parameters, present.ranking)
     labels = tuple(base.labels if wanted.labels is None else (label.strip() for label in wanted.labels))
     moving = base.dynamic if wanted.dynamic is None else tuple(label.strip() for label in wanted.dynamic)

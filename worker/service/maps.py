@@ -27,6 +27,9 @@ from worker.service.trouble import STORAGE_ERRORS
 ATTEMPTS = 5
 """How often the next recipe of a map is made, whose present one is changed meanwhile."""
 
+USERS_OWN = ("precision", "same_place_m")
+"""Of a ranking, what is the user's word on the map and no part of how it ranks: it stays whatever preset is named."""
+
 
 @dataclass(frozen=True)
 class MapState:
@@ -185,8 +188,9 @@ class MapService:
     def switch_recipe(self, name: str, wanted: Wanted) -> JobRecord:
         """Describe a map's views by another recipe; queries use the old recipe until the last view is described.
 
-        Fields that `wanted` leaves None keep the map's values, unless it names another preset or the map was created
-        with another encoder.
+        Fields that `wanted` leaves None keep the map's values. A preset that is named brings its parameters and ranking
+        as this version has them, another one its labels and vocabulary too, and so does a map of another encoder.
+        `USERS_OWN` stays with the map in any case.
 
         Raises
         ------
@@ -242,6 +246,8 @@ class MapService:
             wanted = replace(wanted, labels=present.labels)
         if same and wanted.dynamic is None:
             wanted = replace(wanted, dynamic=[label for label in present.dynamic if label in (wanted.labels or ())])
+        own = {name: getattr(ranking, name) for name in USERS_OWN}
+        wanted = replace(wanted, ranking={**own, **(wanted.ranking or {})})
         return make_recipe(
             self._encoder,
             wanted,
