@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab import evaluate
+from lab.datasets.choosing import add_dataset_arguments, add_device, read
 from lab.datasets.dataset import Dataset
 from lab.evaluation.in_process import runtime_for_measuring, train_vocabulary
 from lab.evaluation.measuring import RUN
@@ -306,7 +306,8 @@ def _difference(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
     parser = argparse.ArgumentParser(prog="ablate", description=__doc__.splitlines()[0])
-    evaluate.add_arguments(parser)
+    add_dataset_arguments(parser)
+    add_device(parser)
     parser.add_argument("--write", type=Path, help="Markdown file to write the table to")
     parser.add_argument("--variants", help="comma-separated names or parts of names; default: all")
     parser.add_argument(
@@ -318,9 +319,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     chosen += [
         Variant(f"vocabulary {path.parent.name}/{path.name}", _same, vocabulary=path) for path in options.vocabulary
     ]
+    if not chosen:
+        parser.error(f"--variants {options.variants} names none of: {', '.join(v.name for v in VARIANTS)}")
     measured: list[Measured] = []
     try:
-        for dataset in evaluate.read(options.dataset, options):
+        for dataset in read(options.dataset, options):
             # One after the other: what an encoder remembers of a set goes with it.
             with (
                 runtime_for_measuring(read_settings(), options.device, remembering) as runtime,

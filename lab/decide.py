@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from lab import evaluate
+from lab.datasets.choosing import add_dataset_arguments, add_device, read, whole
 from lab.datasets.dataset import Dataset
 from lab.datasets.layout import with_attributes
 from lab.datasets.protocols import GUARD, STRETCHES
+from lab.evaluate import circumstances
 from lab.evaluation import decision_plots
 from lab.evaluation.deciding import OTHERS_OF_SMALL_MAPS, SIZES, Decided, Options, as_decisions, decide_all, trials
 from lab.evaluation.decision_tables import as_json, as_markdown, rows
@@ -22,7 +23,7 @@ from lab.evaluation.once import DescribeOnce
 from lab.evaluation.progress import progress_bar
 from lab.evaluation.service import map_of_its_own
 from lab.libraries import FOR_FITTING, FOR_REPORTS, require
-from schemas.errors import RevisitError
+from schemas.errors import InvalidParameters, RevisitError
 from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 from worker.runtime import Runtime
@@ -62,21 +63,26 @@ def measure(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Those of `lab.evaluate`, and those of the protocols."""
-    evaluate.add_arguments(parser)
-    parser.set_defaults(out=Path("runs/decisions"))
+    """The set, what is measured, and the protocols."""
+    add_dataset_arguments(parser)
+    add_device(parser)
+    parser.add_argument("--out", type=Path, default=Path("runs/decisions"), help="where tables and plots are kept")
+    parser.add_argument("--preset", default="default", help="preset to measure")
     parser.add_argument("--sets", default="", help="make maps only of sets whose names begin so, comma-separated")
     parser.add_argument("--apart", default="", help="do not pool sets whose names begin so, comma-separated")
-    parser.add_argument("--stretches", type=int, default=STRETCHES, help="of which every other one is enrolled")
-    parser.add_argument("--guard", type=int, default=GUARD, help="width of the guard band at a cut, in tolerances")
+    parser.add_argument("--stretches", type=whole(2), default=STRETCHES, help="of which every other one is enrolled")
+    parser.add_argument("--guard", type=whole(0), default=GUARD, help="width of the guard band at a cut, in tolerances")
     parser.add_argument(
         "--sizes",
-        default=",".join(f"{size}x{draws}" for size, draws in SIZES.items()),
-        help="places of small maps and how many are drawn: SIZExDRAWS, comma-separated, or none",
+        type=_sizes,
+        default=dict(SIZES),
+        help="places of small maps and how many are drawn: SIZExDRAWS, comma-separated, or none (default: "
+        + ",".join(f"{size}x{draws}" for size, draws in SIZES.items())
+        + ")",
     )
     parser.add_argument("--spread", action="store_true", help="places of small maps from everywhere, not one stretch")
     parser.add_argument(
-        "--others", type=int, default=OTHERS_OF_SMALL_MAPS, help="queries of other sites that each small map gets"
+        "--others", type=whole(0), default=OTHERS_OF_SMALL_MAPS, help="queries of other sites that each small map gets"
     )
 
 
@@ -85,13 +91,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="decide", description=__doc__.splitlines()[0])
     add_arguments(parser)
     options = parser.parse_args(argv)
-    [preset] = options.preset or ["default"]
     try:
         require((*FOR_FITTING, *FOR_REPORTS))
-        sets = evaluate.read(options.dataset, options)
+        sets = read(options.dataset, options)
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
+        if not chosen:
+            raise InvalidParameters.of("sets", f"{options.sets} begins no name of {', '.join(s.name for s in sets)}")
         with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
-            decided = measure(chosen, sets, runtime, preset, _options(options))
+            decided = measure(chosen, sets, runtime, options.preset, _options(options))
     except (RevisitError, ValueError) as refusal:  # ValueError: too few places for the protocols
         print(refusal, file=sys.stderr)
         return 2
@@ -99,12 +106,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _sizes(text: str) -> dict[int, int]:
+    """Places of small maps and how many are drawn, as ``1x5,40`` says it."""
+    pairs = [] if text in ("", "none") else [size.partition("x") for size in text.split(",")]
+    least_one = whole(1)
+    return {least_one(size): least_one(draws or "1") for size, _, draws in pairs}
+
+
 def _options(options: argparse.Namespace) -> Options:
-    pairs = [] if options.sizes in ("", "none") else [size.partition("x") for size in options.sizes.split(",")]
     return Options(
         stretches=options.stretches,
         guard=options.guard,
-        sizes={int(size): int(draws or 1) for size, _, draws in pairs},
+        sizes=options.sizes,
         others=options.others,
         spread=options.spread,
         seed=options.seed,
@@ -120,7 +133,7 @@ def _write(decided: Sequence[Decided], options: argparse.Namespace) -> None:
     text = as_markdown(found)
     print(text)
     (out / "decisions.md").write_text(text + "\n")
-    summary = as_json(found, evaluate.circumstances(options.seed))
+    summary = as_json(found, circumstances(options.seed))
     (out / "decisions.json").write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n")
     with (out / "decisions.jsonl").open("w") as lines:
         lines.writelines(json.dumps(asdict(one)) + "\n" for one in decided)

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lab import evaluate
 from lab.baselines.seqslam import CLAIMED, SeqSlam, matched
+from lab.datasets.choosing import add_dataset_arguments, add_device, read
 from lab.datasets.dataset import Dataset
 from lab.datasets.layout import with_attributes
 from lab.datasets.protocols import Query, Trial, halves, whole
@@ -211,11 +211,13 @@ def summed(rows: Sequence[Sequence[Counts | None]]) -> list[Counts | None]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
     parser = argparse.ArgumentParser(prog="drives", description=__doc__.splitlines()[0])
-    evaluate.add_arguments(parser)
+    add_dataset_arguments(parser)
+    add_device(parser)
+    parser.add_argument("--no-service", action="store_true", help="SeqSLAM only")
     parser.add_argument("--sets", default="", help="only sets whose names begin so, comma-separated")
     options = parser.parse_args(argv)
     try:
-        sets = [one for one in evaluate.read(options.dataset, options) if one.sequential]
+        sets = [one for one in read(options.dataset, options) if one.sequential]
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
         trials = [trial for one in map(with_attributes, chosen) for trial in [whole(one), *halves(one)]]
         with served(options) as measured:

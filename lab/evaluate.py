@@ -15,14 +15,12 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
-
 from lab.baselines.baseline import Baseline
 from lab.baselines.from_files import Descriptors, Ranked, named
 from lab.baselines.known import NAMES, PLAIN, Needs, Rivals, rivals
-from lab.datasets import aligned, folder, kitti, pairs, pitts30k, tutorial, utm_names
+from lab.datasets import utm_names
+from lab.datasets.choosing import add_dataset_arguments, add_device, read, whole
 from lab.datasets.dataset import Dataset
-from lab.datasets.hold_out import hold_out
 from lab.evaluation.contender import Contender
 from lab.evaluation.gallery import Artist, first_answers, the_papers_figures
 from lab.evaluation.html import Example, as_html
@@ -34,14 +32,6 @@ from lab.evaluation.tables import as_json, as_text, overview
 from lab.libraries import FOR_REPORTS, require
 from schemas.errors import InvalidParameters, RevisitError
 from schemas.settings import read_settings
-
-PROTOCOLS = {
-    "kitti": ("loop", "halves"),
-    "pairs": ("vpr-tutorial",),
-    "aligned": ("vpr-tutorial",),
-    "folder": ("utm",),
-}
-"""Ways of reading or judging a data set, by its name; of kitti the first is the default."""
 
 
 @dataclass(frozen=True)
@@ -127,50 +117,11 @@ def circumstances(seed: int) -> dict[str, str]:
     }
 
 
-def read(name: str, options: argparse.Namespace) -> list[Dataset]:
-    """The data sets that the command line asks for; raises UnexpectedLayout and InvalidParameters."""
-    root: Path = options.root
-    protocol: str | None = options.protocol
-    if protocol is not None and protocol not in PROTOCOLS.get(name, ()):
-        there = ", ".join(PROTOCOLS.get(name, ())) or "none"
-        raise InvalidParameters.of("protocol", f"{protocol} is none of {name}'s; there are: {there}")
-    if protocol == "vpr-tutorial" and options.hold_out:
-        raise InvalidParameters.of("hold-out", "vpr-tutorial judges frame for frame: nothing can be held out of it")
-    if name == "kitti":
-        found = kitti.read(
-            root,
-            sequence=options.sequence,
-            protocol="halves" if protocol == "halves" else "loop",
-            radius_m=options.radius,
-            gap=options.gap,
-            every=options.every,
-            camera=options.camera,
-        )
-    elif name == "pitts30k":
-        limits = {"queries": options.queries, "database": options.database}
-        found = pitts30k.read(root, split=options.split, radius_m=options.radius, seed=options.seed, **limits)
-    elif name == "pairs":
-        found = pairs.read(root, unlisted=options.unlisted)
-    elif name == "aligned":
-        found = aligned.read(root, tolerance=options.tolerance)
-    elif protocol == "utm":
-        found = utm_names.read(root, radius_m=options.radius)
-    else:
-        found = folder.read(root, radius_m=options.radius, heading_tolerance=options.heading)
-    if protocol == "vpr-tutorial":
-        found = [tutorial.diagonal(dataset) for dataset in found]
-    if options.hold_out:
-        rng = np.random.default_rng(options.seed)
-        found = [hold_out(dataset, options.hold_out, rng) for dataset in found]
-    return found
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Everything that `main` understands; `./revisit evaluate` adds the same."""
-    parser.add_argument("dataset", choices=["kitti", "pitts30k", "pairs", "aligned", "folder"])
-    parser.add_argument("--root", type=Path, required=True, help="folder of the data set")
+    add_dataset_arguments(parser)
+    add_device(parser)
     parser.add_argument("--out", type=Path, default=Path("runs/evaluation"), help="where reports and answers are kept")
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--preset", action="append", help="preset to measure, may be repeated (default: default and paper)"
     )
@@ -196,35 +147,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="METHOD",
         help="order the first answers of a method anew by ALIKED and LightGlue: a preset, or a name as in the tables",
     )
-    parser.add_argument("--aliked-side", type=int, default=640, metavar="PIXELS", help="longer side it sees (640)")
-    parser.add_argument("--rerank-first", type=int, default=10, metavar="N", help="so many of them (default: 10)")
     parser.add_argument(
-        "--protocol",
-        choices=sorted({name for names in PROTOCOLS.values() for name in names}),
-        help="kitti: loop (default) or halves; pairs, aligned: vpr-tutorial (frame for frame, 8 either way ignored); "
-        "folder: utm (positions in names, @easting@northing@...)",
+        "--aliked-side", type=whole(32), default=640, metavar="PIXELS", help="longer side it sees (640)"
     )
+    parser.add_argument("--rerank-first", type=int, default=10, metavar="N", help="so many of them (default: 10)")
     parser.add_argument("--export", type=Path, metavar="FOLDER", help="copy the set under such names, measure nothing")
-    parser.add_argument("--device", default="cpu", help="where networks run")
     parser.add_argument("--url", help="measure the service that runs there")
     parser.add_argument("--no-service", action="store_true", help="baselines only")
     parser.add_argument("--truth-only", action="store_true", help="only sizes, chance and ceiling of the ground truth")
-    parser.add_argument("--examples", type=int, default=3, help="right and wrong answers shown in the report")
-    parser.add_argument("--radius", type=float, default=25.0, help="metres within which an answer is right")
-    parser.add_argument("--hold-out", type=float, default=0.0, help="share of queries whose places are not enrolled")
-    one = parser.add_argument_group("kitti")
-    one.add_argument("--sequence", default="00")
-    one.add_argument("--gap", type=int, default=100, help="frames between a query and the newest it may know")
-    one.add_argument("--every", type=int, default=1, help="use every n-th frame")
-    one.add_argument("--camera", default="image_2")
-    two = parser.add_argument_group("pitts30k")
-    two.add_argument("--split", choices=["train", "val", "test"], default="val")
-    two.add_argument("--queries", type=int, help="draw this many queries")
-    two.add_argument("--database", type=int, help="draw this many database images, distractors included")
-    rest = parser.add_argument_group("pairs, aligned, folder")
-    rest.add_argument("--unlisted", action="store_true", help="query images that no row names too, as unanswerable")
-    rest.add_argument("--tolerance", type=int, default=2, help="frames by which an aligned answer may differ")
-    rest.add_argument("--heading", type=float, help="degrees by which the heading may differ")
+    parser.add_argument("--examples", type=whole(0), default=3, help="right and wrong answers shown in the report")
 
 
 def main(argv: Sequence[str] | None = None, connect: Callable[[str, str], Contender] | None = None) -> int:

@@ -17,7 +17,7 @@ from pathlib import Path
 from revisit_client import Revisit
 from revisit_client.loops import Keyframe, Loop, LoopCloser
 
-from lab import evaluate
+from lab.datasets.choosing import add_dataset_arguments, read, whole
 from lab.datasets.dataset import Dataset
 from lab.faults.process import serve, settings
 from schemas.errors import RevisitError
@@ -116,12 +116,12 @@ def _spread(values: Sequence[int]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
     parser = argparse.ArgumentParser(prog="loops", description=__doc__.splitlines()[0])
-    evaluate.add_arguments(parser)
+    add_dataset_arguments(parser)
     parser.add_argument("--sets", default="", help="only sets whose names begin so, comma-separated")
-    parser.add_argument("--repeat", type=int, default=3, help="times that each walk is walked (3)")
+    parser.add_argument("--repeat", type=whole(1), default=3, help="times that each walk is walked (3)")
     options = parser.parse_args(argv)
     try:
-        sets = [one for one in evaluate.read(options.dataset, options) if one.sequential]
+        sets = [one for one in read(options.dataset, options) if one.sequential]
         print("| walk | single | 2 agree | 3 agree | as a drive | as a drive, 3 agree |\n|---|---|---|---|---|---|")
         for dataset in sets:
             if dataset.name.startswith(tuple(options.sets.split(","))):
