@@ -140,6 +140,8 @@ def _per_thousand(share: Share) -> str:
 def _area(area: Area) -> str:
     if math.isnan(area.value):
         return ""
+    if math.isnan(area.low):
+        return _short(area.value)
     return f"{_short(area.value)} ({_short(area.low)}-{_short(area.high)})"
 
 

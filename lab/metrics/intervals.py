@@ -26,7 +26,7 @@ class Share:
     events, queries : int
     low, high : float
         95 % interval from drawing blocks of queries again; where nothing or everything happened, the exact binomial
-        bound for as many trials as there are blocks. NaN without queries.
+        bound for as many trials as there are blocks. Of a single block, the exact interval below. NaN without queries.
     exact_low, exact_high : float
         95 % interval of Clopper and Pearson, as if all queries were independent of each other.
     """
@@ -92,6 +92,8 @@ def share(
         trials = len(np.unique(blocks[among]))
         low, high = exact_interval(trials if events else 0, trials, level)
         return Share(events, queries, low, high, *exact)
+    if len(np.unique(blocks)) == 1:  # drawn again, it is always itself
+        return Share(events, queries, *exact, *exact)
     # Of all blocks, so that the number of queries among `among` varies as it would.
     everything, whole = np.unique(blocks, return_inverse=True)
     top = np.bincount(whole, weights=happened & among, minlength=len(everything))
@@ -125,10 +127,10 @@ def block_bootstrap(
     Returns
     -------
     (low, high) : float
-        NaN when there are no queries.
+        NaN when there are no queries, or only those of one block: drawn again, it is always itself.
     """
     names, block = np.unique(blocks, return_inverse=True)
-    if len(names) == 0:
+    if len(names) < 2:
         return float("nan"), float("nan")
     order = np.argsort(block, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(block))[:-1])

@@ -17,6 +17,9 @@ Booleans = npt.NDArray[np.bool_]
 DEPTHS = (1, 5, 10, 20)
 """The N of recall@N that the paper reports."""
 
+FEWEST_BLOCKS = 3
+"""Runs of neighbours that an interval is drawn from, at least: a single one, drawn again, is always itself."""
+
 
 @dataclass(frozen=True, eq=False)
 class Truth:
@@ -163,7 +166,8 @@ def bootstrap_interval(
     generator : numpy.random.Generator
     block : int
         Queries drawn together. Frames of one drive resemble their neighbours, so that 200 of them say less than
-        200 independent ones; drawing runs of neighbours (circular moving blocks) keeps the interval honest.
+        200 independent ones; drawing runs of neighbours (circular moving blocks) keeps the interval honest. Runs are
+        shorter where there would be fewer than `FEWEST_BLOCKS`.
     resamples : int
     level : float
 
@@ -176,7 +180,7 @@ def bootstrap_interval(
     if n == 0:
         nothing = np.full(data.shape[1], np.nan)
         return nothing, nothing
-    block = max(1, min(block, n))
+    block = _shortened(block, n)
     starts = generator.integers(0, n, size=(resamples, -(-n // block)))
     means = np.empty((resamples, data.shape[1]))
     for i, start in enumerate(starts):
@@ -184,6 +188,10 @@ def bootstrap_interval(
         means[i] = data[drawn].mean(axis=0)
     low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2], axis=0)
     return low, high
+
+
+def _shortened(block: int, queries: int) -> int:
+    return max(1, min(block, queries // FEWEST_BLOCKS))
 
 
 def share_interval(
@@ -209,6 +217,6 @@ def share_interval(
     low, high = bootstrap_interval(found, generator, block=block, level=level)
     if len(found) == 0:
         return low, high
-    bound = ((1 - level) / 2) ** (1 / max(1.0, len(found) / block))
+    bound = ((1 - level) / 2) ** (_shortened(block, len(found)) / len(found))
     high = np.where(found.any(axis=0), high, 1 - bound)
     return np.where(found.all(axis=0), bound, low), high

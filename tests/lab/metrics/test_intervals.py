@@ -57,6 +57,13 @@ def test_the_share_is_among_some_and_their_number_varies_too() -> None:
     assert (found.low, found.high) == (0, 1)
 
 
+def test_a_single_block_says_what_its_queries_say() -> None:
+    found = share(np.arange(10) > 0, np.ones(10, bool), np.repeat("a", 10), RNG(0))
+    assert (found.low, found.high) == (found.exact_low, found.exact_high)
+    assert found.low < 0.6 < found.value < found.high
+    assert np.isnan(block_bootstrap(np.repeat("a", 10), lambda _: 0.9, RNG(0))).all()
+
+
 def test_a_share_of_nobody_is_no_number() -> None:
     found = share(np.ones(3, bool), np.zeros(3, bool), np.array(["a", "b", "c"]), RNG(0))
     assert found.queries == 0

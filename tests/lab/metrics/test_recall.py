@@ -100,6 +100,16 @@ def test_neighbours_that_succeed_together_widen_the_interval() -> None:
     assert wide < single  # two runs of opposite outcome in each block: the resamples hardly differ
 
 
+@pytest.mark.parametrize("queries", [2, 9, 10, 12])
+def test_a_walk_as_short_as_a_run_is_no_certainty(queries: int) -> None:
+    found = np.ones((queries, 1), bool)
+    found[0] = False
+    low, high = share_interval(found, np.random.default_rng(0), block=10)
+    assert low[0] < found.mean() < high[0]
+    all_low, _ = share_interval(np.ones((queries, 1), bool), np.random.default_rng(0), block=10)
+    assert all_low[0] == pytest.approx(0.025 ** (max(1, queries // 3) / queries))
+
+
 def test_no_queries_no_number() -> None:
     assert np.isnan(recall(np.zeros(0, np.int64), depths=(1,))).all()
     assert np.isnan(bootstrap_interval(np.zeros((0, 2)), np.random.default_rng(0))[0]).all()
