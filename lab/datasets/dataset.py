@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -86,12 +87,14 @@ class Dataset:
 
     @property
     def sequential(self) -> bool:
-        """Whether neighbouring queries mostly share right answers: a walk, whose queries are not independent."""
-        shared = [
-            len(np.intersect1d(a, b)) > 0
-            for a, b in zip(self.positives, self.positives[1:], strict=False)
-            if len(a) and len(b)
-        ]
+        """Whether neighbouring queries mostly share right answers: a walk, whose queries are not independent.
+
+        Where only the one frame is right, the ignored ones around it tell of the walk.
+        """
+        near = self.positives
+        if self.ignored is not None:
+            near = tuple(np.union1d(*both) for both in zip(self.positives, self.ignored, strict=True))
+        shared = [len(np.intersect1d(a, b)) > 0 for a, b in pairwise(near) if len(a) and len(b)]
         return bool(shared) and float(np.mean(shared)) > 0.5
 
 

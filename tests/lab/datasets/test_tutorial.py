@@ -31,6 +31,11 @@ def test_right_is_the_frame_of_the_same_number_and_its_neighbours_are_neither() 
     assert found.truth == "the frame of the same number; 2 before and after it are ignored"
 
 
+def test_neighbouring_queries_are_one_walk_although_they_share_no_right_answer() -> None:
+    assert walks(6, near=1).sequential
+    assert not walks(6, near=0).sequential
+
+
 def test_eight_frames_either_way() -> None:
     found = walks(40, near=8)
     assert found.ignored is not None
