@@ -2,6 +2,7 @@
 
 import csv
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -104,20 +105,29 @@ def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts], path.name
 
 
+def composed(name: str) -> str:
+    """A name with its accents as tables have them; macOS writes those of files as letters of their own."""
+    return unicodedata.normalize("NFC", name)
+
+
 def images_in(folder: Path, expected: str) -> list[Path]:
-    """The images directly in a folder, in natural order of their names.
+    """The images directly in a folder, in natural order of their names; hidden files are none.
 
     Raises
     ------
     UnexpectedLayout
-        When it is no folder, or has no image.
+        When it is no folder, has no image, or has something with such a name that is no file.
     """
     if not folder.is_dir():
         raise UnexpectedLayout(folder, "there is no such folder", expected)
-    found = sorted((p for p in folder.iterdir() if p.suffix.lower() in ENDINGS), key=natural)
+    shown = [p for p in folder.iterdir() if not p.name.startswith(".")]
+    found = sorted((p for p in shown if p.suffix.lower() in ENDINGS), key=natural)
     if not found:
-        kinds = sorted({p.suffix.lower() or "(no ending)" for p in folder.iterdir()})
+        kinds = sorted({p.suffix.lower() or "(no ending)" for p in shown})
         raise UnexpectedLayout(folder, f"no images here; the files end in {', '.join(kinds) or 'nothing'}", expected)
+    if lost := [p.name for p in found if not p.is_file()]:
+        problem = f"folders, or links that lead nowhere, have names of images: {', '.join(lost[:5])}"
+        raise UnexpectedLayout(folder, problem, expected)
     return found
 
 
@@ -127,20 +137,34 @@ def rows_of(path: Path, columns: Sequence[str], expected: str) -> list[dict[str,
     Raises
     ------
     UnexpectedLayout
-        When the file or a column is missing, or there is no row.
+        When the file or a column is missing, it cannot be read, a row has too few or too many fields, or there is
+        no row.
     """
     if not path.is_file():
         raise UnexpectedLayout(path, "there is no such file", expected)
-    with path.open(newline="", encoding="utf-8-sig") as lines:
-        reader = csv.DictReader(lines)
-        missing = [c for c in columns if c not in (reader.fieldnames or [])]
-        if missing:
-            raise UnexpectedLayout(
-                path,
-                f"column {', '.join(missing)} is missing; there are {', '.join(reader.fieldnames or [])}",
-                expected,
-            )
-        rows = list(reader)
+    rows = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as lines:
+            reader = csv.DictReader(lines)
+            missing = [c for c in columns if c not in (reader.fieldnames or [])]
+            if missing:
+                raise UnexpectedLayout(
+                    path,
+                    f"column {', '.join(missing)} is missing; there are {', '.join(reader.fieldnames or [])}",
+                    expected,
+                )
+            for row in reader:
+                if empty := [c for c in columns if not row[c]]:
+                    raise UnexpectedLayout(path, f"line {reader.line_num} has no {', '.join(empty)}", expected)
+                if any(row.pop(None, ())):
+                    problem = f"line {reader.line_num} has more fields than the heading; is a comma within one quoted?"
+                    raise UnexpectedLayout(path, problem, expected)
+                rows.append(row)
+    except UnicodeDecodeError as error:
+        problem = f"byte {error.start + 1} is no UTF-8 text; save the table as CSV in UTF-8"
+        raise UnexpectedLayout(path, problem, expected) from None
+    except csv.Error as error:
+        raise UnexpectedLayout(path, f"line {reader.line_num + 1} cannot be read as CSV: {error}", expected) from None
     if not rows:
         raise UnexpectedLayout(path, "no rows below the heading", expected)
     return rows

@@ -1,11 +1,13 @@
 """Anybody's images with a table of positions."""
 
+import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, rows_of, within
+from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, composed, rows_of, within
 from lab.metrics.recall import Doubles, Indices
 
 EXPECTED = """\
@@ -39,17 +41,21 @@ def read(
     Raises
     ------
     UnexpectedLayout
-        When the table, a column, a role or an image is missing, or a number cannot be read.
+        When the table, a column, a role or an image is missing, an image has several rows, or a number cannot be read.
     """
     path = root / table
     rows = rows_of(path, ["file"], EXPECTED)
+    twice = [name for name, rows_of_it in Counter(composed(row["file"]) for row in rows).items() if rows_of_it > 1]
+    if twice:
+        raise UnexpectedLayout(path, f"{len(twice)} images have several rows: {', '.join(twice[:5])}", EXPECTED)
     roles = [row.get("role") or Path(row["file"]).parts[0] for row in rows]
     odd = sorted(set(roles) - {"database", "query"})
     if odd:
         raise UnexpectedLayout(path, f"an image is neither database nor query but {odd[0]!r}", EXPECTED)
     if {"database", "query"} - set(roles):
         raise UnexpectedLayout(path, f"all images are {roles[0]}; both roles are needed", EXPECTED)
-    missing = [row["file"] for row in rows if not (root / row["file"]).is_file()]
+    files = [_found(root, row["file"]) for row in rows]
+    missing = [row["file"] for row, file in zip(rows, files, strict=True) if not file.is_file()]
     if missing:
         raise UnexpectedLayout(path, f"{len(missing)} images are not there: {', '.join(missing[:5])}", EXPECTED)
     positions = _metres(rows, path)
@@ -60,7 +66,6 @@ def read(
         headings = _column(rows, ("heading", "heading_deg"), path)
         positives = _facing(positives, headings[~is_query], headings[is_query], heading_tolerance)
         truth += f" and {heading_tolerance:g} degrees of heading"
-    files = [root / row["file"] for row in rows]
     return [
         Dataset(
             name=root.name,
@@ -72,6 +77,12 @@ def read(
             query_positions=positions[is_query],
         )
     ]
+
+
+def _found(root: Path, name: str) -> Path:
+    """The file of this name, however its accents are written."""
+    forms = (root / name, root / composed(name), root / unicodedata.normalize("NFD", name))
+    return next((file for file in forms if file.is_file()), forms[0])
 
 
 def _facing(positives: Sequence[Indices], database: Doubles, queries: Doubles, tolerance: float) -> list[Indices]:
@@ -87,7 +98,12 @@ def _metres(rows: list[dict[str, str]], path: Path) -> Doubles:
     """Positions in a plane, float64 (rows, 2): x and y as given, or east and north of the mean position."""
     if "lat" not in rows[0]:
         return np.column_stack([_column(rows, ("x", "x_m"), path), _column(rows, ("y", "y_m"), path)])
-    lat, lon = np.radians(_column(rows, ("lat",), path)), np.radians(_column(rows, ("lon",), path))
+    degrees = [_column(rows, (name,), path) for name in ("lat", "lon")]
+    for values, name, most in zip(degrees, ("lat", "lon"), (90, 180), strict=True):
+        if np.abs(values).max() > most:
+            line = int(np.argmax(np.abs(values) > most)) + 2
+            raise UnexpectedLayout(path, f"line {line}: {name} is not within {most} degrees of 0", EXPECTED)
+    lat, lon = map(np.radians, degrees)
     # A plane through the mean position: 0.1 % off at 30 km, and no set of one city is larger. Longitudes are taken
     # relative to the first one, so that a set on either side of 180 degrees stays together.
     east = (lon - lon[0] + np.pi) % (2 * np.pi) - np.pi
@@ -98,7 +114,8 @@ def _column(rows: list[dict[str, str]], names: tuple[str, ...], path: Path) -> D
     """One column of finite numbers, under the first of these names that is there."""
     name = next((n for n in names if n in rows[0]), None)
     if name is None:
-        raise UnexpectedLayout(path, f"there is no column {names[0]}", EXPECTED)
+        there = ", ".join(repr(column) for column in rows[0])
+        raise UnexpectedLayout(path, f"there is no column {names[0]}; there are {there}", EXPECTED)
     for line, row in enumerate(rows, start=2):
         try:
             fine = np.isfinite(float(row[name]))

@@ -101,11 +101,14 @@ def ground_plane(path: Path) -> Doubles:
     Raises
     ------
     UnexpectedLayout
-        When the file is missing, or a line has not 12 numbers.
+        When the file is missing, or a line has not 12 finite numbers.
     """
     if not path.is_file():
         raise UnexpectedLayout(path, "there is no such file", EXPECTED)
-    rows = [line.split() for line in path.read_text().splitlines() if line.strip()]
+    try:
+        rows = [line.split() for line in path.read_text().splitlines() if line.strip()]
+    except UnicodeDecodeError:
+        raise UnexpectedLayout(path, "this is no text", EXPECTED) from None
     wrong = next((i for i, row in enumerate(rows) if len(row) != 12), None)
     if wrong is not None or not rows:
         problem = "the file is empty" if wrong is None else f"line {wrong + 1} has {len(rows[wrong])} numbers, not 12"
@@ -114,4 +117,7 @@ def ground_plane(path: Path) -> Doubles:
         poses = np.array(rows, np.float64)
     except ValueError as error:
         raise UnexpectedLayout(path, str(error), EXPECTED) from None
+    unknown = np.flatnonzero(~np.isfinite(poses).all(axis=1))
+    if len(unknown):
+        raise UnexpectedLayout(path, f"line {unknown[0] + 1} has a number that is not finite", EXPECTED)
     return poses[:, [X, Z]]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.datasets.dataset import Dataset, UnexpectedLayout, images_in, rows_of
+from lab.datasets.dataset import Dataset, UnexpectedLayout, composed, images_in, rows_of
 
 COLUMNS = ("query_folder", "query_file", "database_folder", "database_file")
 
@@ -49,18 +49,19 @@ def _sets(table: Path, unlisted: bool) -> list[Dataset]:
     right: dict[tuple[str, str], dict[str, set[str]]] = {}
     for row in rows_of(table, COLUMNS, EXPECTED):
         pair = right.setdefault((row["query_folder"], row["database_folder"]), {})
-        pair.setdefault(row["query_file"], set()).add(row["database_file"])
+        pair.setdefault(composed(row["query_file"]), set()).add(composed(row["database_file"]))
     sets = []
     for (queried, searched), answers in right.items():
         database = images_in(folder / searched, EXPECTED)
-        queries = [p for p in images_in(folder / queried, EXPECTED) if unlisted or p.name in answers]
-        number = {p.name: i for i, p in enumerate(database)}
-        missing = {f"{queried}/{q}" for q in answers.keys() - {p.name for p in queries}}
+        queries = [p for p in images_in(folder / queried, EXPECTED) if unlisted or composed(p.name) in answers]
+        number = {composed(p.name): i for i, p in enumerate(database)}
+        missing = {f"{queried}/{q}" for q in answers.keys() - {composed(p.name) for p in queries}}
         missing |= {f"{searched}/{d}" for named in answers.values() for d in named - number.keys()}
         if missing:
             problem = f"{len(missing)} images that the table names are not there: {', '.join(sorted(missing)[:5])}"
             raise UnexpectedLayout(table, problem, EXPECTED)
-        positives = tuple(np.array(sorted(number[d] for d in answers.get(q.name, ())), np.int64) for q in queries)
+        rights = ([number[name] for name in answers.get(composed(q.name), ())] for q in queries)
+        positives = tuple(np.array(sorted(right), np.int64) for right in rights)
         name = f"{folder.name} {queried} -> {searched}"
         sets.append(Dataset(name, tuple(database), tuple(queries), positives, f"the pairs of {table.name}"))
     return sets

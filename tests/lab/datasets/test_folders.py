@@ -76,7 +76,8 @@ def test_aligned_counts_frames_in_natural_order(tmp_path: Path) -> None:
 def walk(root: Path, rows: str, head: str = "file,x,y,heading") -> Path:
     (root / "positions.csv").write_text(f"{head}\n{rows}\n")
     for row in rows.splitlines():
-        image(root / row.split(",")[0])
+        if name := row.split(",")[0]:
+            image(root / name)
     return root
 
 
@@ -115,11 +116,54 @@ def test_folder_stays_together_across_the_date_line(tmp_path: Path) -> None:
         ("database/a.jpg,0,nan\nquery/b.jpg,0,0", "file,x,y", "line 2: y is 'nan'"),
         ("database/a.jpg,0,0\ndatabase/b.jpg,0,0", "file,x,y", "both roles"),
         ("database/a.jpg,0,0\nother/b.jpg,0,0", "file,x,y", "neither database nor query but 'other'"),
+        ("database/a.jpg,0,0\n,,", "file,x,y", "line 3 has no file"),
+        ("database/a.jpg,1,5,0\nquery/b.jpg,0,0", "file,x,y", "line 2 has more fields than the heading"),
+        ("a.jpg,0,0,database\nb.jpg,0,0,query\na.jpg,0,0,query", "file,x,y,role", "several rows: a.jpg"),
+        ("database/a.jpg,0,0\nquery/b.jpg,0,0", "file, x, y", "no column x; there are 'file', ' x', ' y'"),
+        ("database/a.jpg,120,20\nquery/b.jpg,120,20", "file,lat,lon", "line 2: lat is not within 90"),
     ],
 )
 def test_folder_says_what_it_expects(tmp_path: Path, rows: str, head: str, says: str) -> None:
     with pytest.raises(UnexpectedLayout, match=says):
         folder.read(walk(tmp_path, rows, head))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_a_table_in_another_encoding_is_no_accident(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "positions.csv").write_text("file,x,y\ndatabase/é.jpg,0,0\n", encoding=encoding)
+    with pytest.raises(UnexpectedLayout, match=r"byte \d+ is no UTF-8 text; save the table as CSV in UTF-8"):
+        folder.read(tmp_path)
+
+
+def test_a_row_of_pairs_that_ends_early_is_named(tmp_path: Path) -> None:
+    a_set_of_pairs(tmp_path)
+    with (tmp_path / "ground_truth.csv").open("a") as table:
+        table.write("q,10.jpg,d\n")
+    with pytest.raises(UnexpectedLayout, match="line 6 has no database_file"):
+        pairs.read(tmp_path)
+
+
+def test_accents_of_files_are_those_of_the_table_however_they_are_written(tmp_path: Path) -> None:
+    one, other = "cafe\u0301.jpg", "caf\u00e9.jpg"
+    assert one != other
+    image(tmp_path / "query" / one)
+    image(tmp_path / "database" / one)
+    (tmp_path / "positions.csv").write_text(f"file,x,y\ndatabase/{other},0,0\nquery/{other},0,0\n")
+    (tmp_path / "ground_truth.csv").write_text(f"{HEAD}query,{other},database,{other}\n")
+    for [found] in (folder.read(tmp_path), pairs.read(tmp_path)):
+        assert [p.tolist() for p in found.positives] == [[0]]
+        assert found.database[0].is_file()
+
+
+def test_what_only_has_the_name_of_an_image_is_none(tmp_path: Path) -> None:
+    for name in ("database", "query"):
+        image(tmp_path / name / "a.jpg")
+        image(tmp_path / name / "._a.jpg")  # what macOS leaves beside it
+    [found] = aligned.read(tmp_path)
+    assert [path.name for path in (*found.database, *found.queries)] == ["a.jpg", "a.jpg"]
+    (tmp_path / "query" / "b.jpg").symlink_to(tmp_path / "nowhere.jpg")
+    with pytest.raises(UnexpectedLayout, match=r"names of images: b\.jpg"):
+        aligned.read(tmp_path)
 
 
 def test_held_out_places_are_nowhere_in_the_database() -> None:

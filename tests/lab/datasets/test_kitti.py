@@ -80,6 +80,20 @@ def test_what_was_expected_is_said(tmp_path: Path, spoil: object, says: str) -> 
     assert "ROOT/poses/00.txt" in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"1 0 0 nan 0 1 0 0 0 0 1 0\n" * 2, "line 1 has a number that is not finite"),
+        (b"\xff\xfe\x00", "this is no text"),
+    ],
+)
+def test_poses_that_are_no_poses(tmp_path: Path, content: bytes, says: str) -> None:
+    drive(tmp_path, [0.0, 100.0])
+    (tmp_path / "poses" / "00.txt").write_bytes(content)
+    with pytest.raises(UnexpectedLayout, match=says):
+        kitti.read(tmp_path)
+
+
 def test_gap_zero_lets_a_frame_find_itself_and_is_the_users_choice(tmp_path: Path) -> None:
     [found] = kitti.read(drive(tmp_path, [0.0, 100.0]), gap=0)
     assert found.allowed is not None
