@@ -37,6 +37,12 @@ def whole(least: int) -> Callable[[str], int]:
     return number
 
 
+def _named(text: str) -> Path:
+    """A folder that has a name, which sets are called by: ``.`` is the one that it stands for."""
+    folder = Path(text)
+    return folder if folder.name not in ("", "..") else folder.resolve()
+
+
 def _metres(text: str) -> float:
     return _between(text, math.nextafter(0, 1), math.inf, "no distance above 0 in metres")
 
@@ -62,7 +68,7 @@ def _between(text: str, least: float, most: float, otherwise: str) -> float:
 def add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
     """What `read` understands, the seed of whatever is drawn included."""
     parser.add_argument("dataset", choices=["kitti", "pitts30k", "pairs", "aligned", "folder"])
-    parser.add_argument("--root", type=Path, required=True, help="folder of the data set")
+    parser.add_argument("--root", type=_named, required=True, help="folder of the data set")
     parser.add_argument("--seed", type=whole(0), default=0)
     parser.add_argument(
         "--protocol",

@@ -41,6 +41,18 @@ def test_numbers_that_mean_nothing_are_refused(option: str, value: str, capsys: 
     assert f"argument --{option}: {value!r} is no" in said
 
 
+def test_a_set_is_called_by_its_folder_from_within_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("database", "query"):
+        image(tmp_path / "campus" / name / "a.png")
+    monkeypatch.chdir(tmp_path / "campus" / "query")
+    assert main(["aligned", "--root", "..", "--truth-only"]) == 0
+    monkeypatch.chdir(tmp_path / "campus")
+    assert main(["aligned", "--root", ".", "--truth-only"]) == 0
+    assert capsys.readouterr().out.count("campus query -> database: 1 queries") == 2
+
+
 def of(*arguments: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     add_dataset_arguments(parser)
