@@ -1,6 +1,7 @@
 """A set of images with ground truth, and what all modules that read one share."""
 
 import csv
+import hashlib
 import re
 import unicodedata
 from collections.abc import Sequence
@@ -129,6 +130,28 @@ def images_in(folder: Path, expected: str) -> list[Path]:
         problem = f"folders, or links that lead nowhere, have names of images: {', '.join(lost[:5])}"
         raise UnexpectedLayout(folder, problem, expected)
     return found
+
+
+def queries_in_database(dataset: Dataset) -> list[Path]:
+    """Queries that may be answered with their own image: the same file, or the same bytes.
+
+    In online loop closure all frames are both; there only those that may see themselves count.
+    """
+    if dataset.allowed is not None:
+        own = {path: i for i, path in enumerate(dataset.database)}
+        both = zip(dataset.queries, dataset.allowed.tolist(), strict=True)
+        return [query for query, allowed in both if own.get(query, allowed) < allowed]
+    by_size: dict[int, list[Path]] = {}
+    for path in dataset.database:
+        by_size.setdefault(path.stat().st_size, []).append(path)
+    same_size = {query: by_size.get(query.stat().st_size, []) for query in dataset.queries}
+    # Few files have the same size, so that few are read.
+    digests = {path: _digest(path) for paths in same_size.values() for path in paths}
+    return [query for query, paths in same_size.items() if paths and _digest(query) in {digests[p] for p in paths}]
+
+
+def _digest(path: Path) -> bytes:
+    return hashlib.sha256(path.read_bytes()).digest()
 
 
 def rows_of(path: Path, columns: Sequence[str], expected: str) -> list[dict[str, str]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lab.datasets.dataset import Dataset
+from lab.datasets.dataset import Dataset, queries_in_database
 from lab.evaluation.querying import Answers
 from lab.fitting import reliability
 from lab.metrics.chance import Luck, looks_like_chance, suspicions
@@ -167,8 +167,22 @@ def frame(dataset: Dataset, depths: Sequence[int] = DEPTHS) -> Evaluation:
         chance=tuple(chance(truth, truth.answerable, depths).tolist()),
         chance_of_all=tuple(chance(truth, None, depths).tolist()),
         ceiling_of_all=ceiling(truth),
-        suspicions=suspicions(truth, np.concatenate(positions) if positions else None),
+        suspicions=(
+            *_found_in_themselves(dataset),
+            *suspicions(truth, np.concatenate(positions) if positions else None),
+        ),
     )
+
+
+def _found_in_themselves(dataset: Dataset) -> list[str]:
+    """What is odd about queries that are in the database themselves."""
+    found = queries_in_database(dataset)
+    if not found:
+        return []
+    return [
+        f"{len(found)} of {len(dataset.queries)} queries are in the database themselves, byte for byte (first: "
+        f"{found[0].name}): finding them again says nothing of recognising a place"
+    ]
 
 
 def measure(dataset: Dataset, answers: Answers, *, seed: int = 0, depths: Sequence[int] = DEPTHS) -> list[Figures]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lab.datasets.dataset import Dataset
 from lab.evaluation.measuring import frame, measure
 from lab.evaluation.querying import query_all
 from tests.lab.fakes import FakeRetriever, walk
@@ -56,3 +57,24 @@ def test_pretenders_are_found_out(tmp_path: Path, pretender: str) -> None:
     for figures in measure(dataset, query_all(dataset, FakeRetriever(ways[pretender]))):
         assert figures.luck.at_chance, f"{figures.method} of the {pretender} retriever passed as knowing places"
         assert figures.luck.causes
+
+
+def test_queries_that_are_in_the_database_themselves_are_told_of(tmp_path: Path) -> None:
+    for name, content in (("d/a", b"one"), ("d/b", b"two"), ("q/a", b"one"), ("q/b", b"six")):
+        (tmp_path / f"{name}.jpg").parent.mkdir(exist_ok=True)
+        (tmp_path / f"{name}.jpg").write_bytes(content)
+    database, queries = (tuple(tmp_path / d / f"{i}.jpg" for i in "ab") for d in "dq")
+    right = (np.array([0]), np.array([1]))
+    told = frame(Dataset("leak", database, queries, right, "same name")).suspicions[0]
+    assert told.startswith("1 of 2 queries are in the database themselves, byte for byte (first: a.jpg)")
+    apart = frame(Dataset("no leak", database, queries[1:], right[1:], "same name"))
+    assert not any("themselves" in one for one in apart.suspicions)
+
+
+def test_a_frame_that_may_be_answered_with_itself_is_told_of(tmp_path: Path) -> None:
+    files = tuple(tmp_path / f"{i}.jpg" for i in range(3))
+    none = (np.zeros(0, np.int64),) * 3
+    past = Dataset("past", files, files, none, "none", allowed=np.array([0, 1, 2]))
+    assert not any("themselves" in one for one in frame(past).suspicions)
+    itself = Dataset("itself", files, files, none, "none", allowed=np.array([1, 2, 2]))
+    assert frame(itself).suspicions[0].startswith("2 of 3 queries are in the database themselves")
