@@ -1,5 +1,6 @@
 """Have a service decide about queries of known and of unknown places, and keep what it saw."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from lab.datasets.protocols import (
     whole,
     without_parts,
 )
-from lab.evaluation.querying import Progress, count_refusal, position_of
+from lab.evaluation.querying import Progress, image_fault, position_of
 from lab.evaluation.service import evidence
 from lab.metrics.decisions import Decisions, Kind
 from schemas.errors import RevisitError
@@ -156,14 +157,14 @@ def decide_all(
     """
     dataset, enrolled = trial.dataset, trial.enrolled
     images: dict[str, set[int]] = {}
-    refused: dict[str, int] = {}
+    refused: Counter[str] = Counter()
     for image in np.random.default_rng(seed).permutation(enrolled).tolist():
         place = None if dataset.places is None else dataset.places[image]
         try:
             view = service.enroll(dataset.database[image], position_of(dataset, image), place)
             images.setdefault(view, set()).add(image)
         except RevisitError as refusal:
-            count_refusal(refused, refusal)
+            refused[image_fault(refusal)] += 1
     decided = []
     for done, query in enumerate(trial.queries, start=1):
         status: Verdict = "no_match"
@@ -174,7 +175,7 @@ def decide_all(
             status, confidence = result.decision.status, result.decision.confidence
             right, seen = is_right(result, query, images, dataset), evidence(result)
         except RevisitError as refusal:
-            count_refusal(refused, refusal)
+            refused[image_fault(refusal)] += 1
         name = f"{query.image.parent.name}/{query.image.name}"
         decided.append(
             Decided(dataset.name, trial.protocol, name, query.kind, right, status, confidence, query.block, seen)

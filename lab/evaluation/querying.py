@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,7 +19,9 @@ from worker.method.calibration import Verdict
 
 IMAGE_FAULTS = frozenset(
     {
+        "body-too-large",  # over HTTP
         "conflict",  # the same bytes again, at another position
+        "no-picture",  # over HTTP: an empty file
         "not-a-picture",
         "nothing-static",
         "picture-too-large",
@@ -168,7 +171,6 @@ def query_all(
     else:
         allowed, order = dataset.allowed, np.arange(total)
     images: dict[str, list[int]] = {}
-    refused: dict[str, int] = {}
     enrolled = 0
     for done, query in enumerate(np.argsort(allowed, kind="stable").tolist(), start=1):
         if query not in journal.answers:
@@ -178,32 +180,33 @@ def query_all(
                     view = retriever.enroll(dataset.database[image], position_of(dataset, image))
                     images.setdefault(view, []).append(image)
                 except RevisitError as refusal:
-                    count_refusal(refused, refusal)
+                    journal.refused("image", image, refusal)
                 enrolled += 1
                 tell("enrolling", enrolled, total)
             try:
                 answer = retriever.query(dataset.queries[query], depth)
             except RevisitError as refusal:
-                count_refusal(refused, refusal)
+                journal.refused("query", query, refusal)
                 answer = Answer(())
             journal.keep(query, answer, images)
         tell("querying", done, len(dataset.queries))
-    return _without_ignored(journal.results(depth, refused), dataset, wanted)
+    return _without_ignored(journal.results(depth), dataset, wanted)
 
 
-def count_refusal(refused: dict[str, int], refusal: RevisitError) -> None:
-    """Count an image that was refused; anything else, such as a service that is too busy, ends the run."""
+def image_fault(refusal: RevisitError) -> str:
+    """The code of an image that was refused; anything else, such as a service that is too busy, ends the run."""
     if refusal.code not in IMAGE_FAULTS:
         raise refusal
-    refused[refusal.code] = refused.get(refusal.code, 0) + 1
+    return refusal.code
 
 
 class _Journal:
-    """Answers so far, in memory and, if there is a folder, in a file of JSON lines."""
+    """Answers and refusals so far, in memory and, if there is a folder, in a file of JSON lines."""
 
     def __init__(self, folder: Path | None, dataset: Dataset, retriever: Retriever, seed: int, depth: int) -> None:
         self.method, self.count = retriever.name, len(dataset.queries)
         self.answers: dict[int, Answer] = {}
+        self.codes: dict[tuple[str, int], str] = {}
         self.path: Path | None = None
         if folder is None:
             return
@@ -214,12 +217,22 @@ class _Journal:
         lines = self.path.read_bytes().split(b"\n")
         for line in lines[:-1]:  # what follows the last line break was cut off while being written
             data = json.loads(line)
+            if "refused" in data:
+                self.codes[data["what"], data["number"]] = data["refused"]
+                continue
             query = data.pop("query")
             views, before = (None if v is None else tuple(v) for v in (data.pop("views"), data.pop("before")))
             scores = tuple(data.pop("scores"))
             self.answers[query] = Answer(views or (), before, scores, **data)
         if lines[-1]:
             self.path.write_bytes(b"\n".join(lines[:-1]) + b"\n" if len(lines) > 1 else b"")
+
+    def refused(self, what: str, number: int, refusal: RevisitError) -> None:
+        """Remember once that an image was refused: a run that goes on enrols what the first one did."""
+        code = image_fault(refusal)
+        if (what, number) not in self.codes:
+            self.codes[what, number] = code
+            self._write({"refused": code, "what": what, "number": number})
 
     def keep(self, query: int, answer: Answer, images: Mapping[str, list[int]]) -> None:
         """Remember an answer, its ids turned into database numbers: ids are new in every run."""
@@ -233,11 +246,14 @@ class _Journal:
             dict(answer.features),
         )
         self.answers[query] = named
+        self._write({"query": query} | asdict(named))
+
+    def _write(self, line: Mapping[str, object]) -> None:
         if self.path is not None:
             with self.path.open("a") as lines:
-                lines.write(json.dumps({"query": query} | asdict(named)) + "\n")
+                lines.write(json.dumps(line) + "\n")
 
-    def results(self, depth: int, refused: Mapping[str, int]) -> Answers:
+    def results(self, depth: int) -> Answers:
         """All answers, in the order of the queries."""
         answers = [self.answers[query] for query in range(self.count)]
         stages = sorted({stage for a in answers for stage in a.timing_ms})
@@ -252,7 +268,7 @@ class _Journal:
             calibrated=True,
             timing_ms={s: np.array([a.timing_ms[s] for a in answers if s in a.timing_ms]) for s in stages},
             features={name: np.array([a.features.get(name, 0.0) for a in answers]) for name in evidence},
-            refused=dict(refused),
+            refused=dict(Counter(self.codes.values())),
         )
 
 

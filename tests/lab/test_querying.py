@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lab.evaluation.querying import Answer, fingerprint, query_all, ranked_by
-from schemas.errors import SetupError, Unavailable
+from schemas.errors import NothingStatic, SetupError, Unavailable
 from schemas.records import Position
 from tests.lab.fakes import FakeRetriever, walk
 
@@ -87,6 +87,30 @@ def test_images_that_are_refused_are_counted(tmp_path: Path) -> None:
     answers = query_all(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
     assert answers.refused == {"nothing-static": 1}
     assert answers.ranked[0, 0] == 1
+
+
+@pytest.mark.parametrize("stopped_at", [3, 40])
+def test_refusals_are_counted_once_although_a_run_goes_on(tmp_path: Path, stopped_at: int) -> None:
+    dataset = walk(tmp_path / "set")
+    cars = [tmp_path / "set" / folder / "0cars.jpg" for folder in "dq"]
+    for path in cars:
+        path.write_bytes(b"")
+
+    class Picky(FakeRetriever):
+        def query(self, image: Path, top: int) -> Answer:
+            if "cars" in image.name:
+                raise NothingStatic("nothing but cars")
+            return super().query(image, top)
+
+    def stop(what: str, done: int, total: int) -> None:
+        if what == "querying" and done == stopped_at:
+            raise Stopped
+
+    both = replace(dataset, database=(cars[0], *dataset.database[1:]), queries=(cars[1], *dataset.queries[1:]))
+    with pytest.raises(Stopped):
+        query_all(both, Picky(near), journals=tmp_path / "runs", progress=stop)
+    for _ in range(2):
+        assert query_all(both, Picky(near), journals=tmp_path / "runs").refused == {"nothing-static": 2}
 
 
 def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) -> None:
