@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from lab.baselines.baseline import Baseline
+from lab.baselines.baseline import UNREADABLE, Baseline, rank_readable
 from lab.baselines.from_files import Descriptors, Ranked, named
 from lab.baselines.known import NAMES, PLAIN, Needs, Rivals, rivals
 from lab.datasets import utm_names
@@ -90,8 +90,10 @@ def run(
                 shown += _images(dataset, answers, artist, examples, seed)
     for baseline in baselines:
         total = len(dataset.database) + len(dataset.queries)
-        distances = baseline.rank(dataset.database, dataset.queries, counted(progress, baseline.name, total))
-        methods += figures(ranked_by(distances, dataset, baseline.name))
+        tick = counted(progress, baseline.name, total)
+        distances, unreadable = rank_readable(baseline, dataset.database, dataset.queries, tick)
+        answers = ranked_by(distances, dataset, baseline.name)
+        methods += figures(replace(answers, refused={UNREADABLE: unreadable} if unreadable else {}))
     found = replace(frame(dataset), methods=tuple(methods), circumstances=circumstances(seed))
     return Outcome(found, shown)
 

@@ -1,6 +1,7 @@
 """What every baseline promises, and how baselines read images."""
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -10,6 +11,9 @@ import numpy.typing as npt
 
 from schemas.description import Floats
 from schemas.errors import BadImage
+
+UNREADABLE = "undecodable-picture"
+"""Code of an image that cannot be decoded."""
 
 Tick = Callable[[], object]
 """Called once for each image that has been described."""
@@ -26,6 +30,24 @@ class Baseline(Protocol):
     def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
         """Distances, float32 (queries, database), small for alike; whatever is learned comes from the database."""
         ...
+
+
+def rank_readable(
+    baseline: Baseline, database: Sequence[Path], queries: Sequence[Path], tick: Tick
+) -> tuple[Floats, int]:
+    """Distances as a baseline gives them, infinite for images that cannot be decoded, and how many of these there are.
+
+    Only where it fails on such an image are all of them looked at, and the others ranked again.
+    """
+    with suppress(BadImage):
+        return baseline.rank(database, queries, tick), 0
+    kept = [[i for i, path in enumerate(paths) if _readable(path)] for paths in (database, queries)]
+    distances = np.full((len(queries), len(database)), np.inf, np.float32)
+    if all(kept):
+        known, queried = kept
+        some = baseline.rank([database[i] for i in known], [queries[i] for i in queried], tick)
+        distances[np.ix_(queried, known)] = some
+    return distances, len(database) + len(queries) - sum(map(len, kept))
 
 
 def grey(path: Path) -> npt.NDArray[np.uint8]:
@@ -64,8 +86,15 @@ def described(images: Iterable[Path], describe: Callable[[Path], Floats], tick: 
     return np.stack(rows)
 
 
+def _readable(path: Path) -> bool:
+    with suppress(BadImage):
+        grey(path)
+        return True
+    return False
+
+
 def _decoded(path: Path, how: int) -> npt.NDArray[np.uint8]:
     pixels = cv2.imread(str(path), how)
     if pixels is None:
-        raise BadImage("undecodable-picture", f"{path} cannot be decoded as an image")
+        raise BadImage(UNREADABLE, f"{path} cannot be decoded as an image")
     return np.asarray(pixels, np.uint8)

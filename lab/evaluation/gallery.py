@@ -14,6 +14,7 @@ from lab.datasets.dataset import Dataset
 from lab.evaluation.html import Example, Shown
 from lab.evaluation.querying import Answers
 from lab.metrics.recall import Indices, first_right
+from schemas.errors import BadImage
 
 LONG_SIDE = 420
 """Pixels of an image in the report."""
@@ -65,8 +66,11 @@ def the_papers_figures(dataset: Dataset, answers: Answers, artist: Artist | None
         return []
     query = int(np.random.default_rng(seed).choice(pool))
     one, other = dataset.queries[query], dataset.database[int(answers.ranked[query, 0])]
-    features = [Shown("ORB's 500 features, moving things included", orb_features(one))]
-    matches = [orb_matches(one, other)]
+    try:
+        features = [Shown("ORB's 500 features, moving things included", orb_features(one))]
+        matches = [orb_matches(one, other)]
+    except BadImage:  # the service may read what OpenCV does not
+        return []
     if artist is not None:
         features += [_smaller(shown) for shown in artist.portray(one)]
         matches += [_smaller(shown) for shown in artist.explain(one, other)]
@@ -108,11 +112,11 @@ def thumbnail(path: Path) -> bytes:
 def _answer(dataset: Dataset, answers: Answers, query: int, first: int, right: bool, artist: Artist | None) -> Example:
     one = dataset.queries[query]
     answer = dataset.database[int(answers.ranked[query, 0])]
-    images = [Shown(f"query {one.name}", thumbnail(one)), Shown(f"answer {answer.name}", thumbnail(answer))]
+    images = [*_shown(f"query {one.name}", one), *_shown(f"answer {answer.name}", answer)]
     if not right:
         positives: Indices = dataset.positives[query]
         wanted = dataset.database[int(positives[len(positives) // 2])]
-        images.append(Shown(f"a right answer {wanted.name}", thumbnail(wanted)))
+        images += _shown(f"a right answer {wanted.name}", wanted)
     if artist is not None:
         images += [_smaller(shown) for shown in artist.explain(one, answer)]
     rank = "" if right else f", first right answer at rank {first}" if first else ", no right answer among those given"
@@ -120,6 +124,16 @@ def _answer(dataset: Dataset, answers: Answers, query: int, first: int, right: b
         f", confidence {answers.confidence[query]:.2f}" if answers.calibrated and answers.confidence is not None else ""
     )
     return Example(f"{answers.method}, query {query}{rank}{confidence}", right, images)
+
+
+def _shown(caption: str, path: Path) -> list[Shown]:
+    """An image with what it shows, which says so where it cannot be decoded."""
+    try:
+        return [Shown(caption, thumbnail(path))]
+    except BadImage:
+        return [
+            Shown(f"{caption}, which cannot be decoded", _jpeg(np.full((LONG_SIDE // 2, LONG_SIDE), 128, np.uint8)))
+        ]
 
 
 def _smaller(shown: Shown) -> Shown:

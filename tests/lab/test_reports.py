@@ -4,7 +4,7 @@ import base64
 import json
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from lab.baselines.random_order import RandomOrder
+from lab.baselines.tiny import TinyImage
 from lab.datasets.dataset import Dataset
 from lab.evaluate import Outcome, main, run
 from lab.evaluation.contender import Contender
@@ -107,6 +108,23 @@ def test_examples_show_right_and_wrong_and_the_papers_figures(outcome: Outcome) 
     assert [e.right for e in outcome.examples] == [True, True, True, None, None]
     assert "ORB" in outcome.examples[-1].images[0].caption
     assert "ORB" in outcome.examples[-2].images[0].caption
+
+
+def test_images_that_cannot_be_decoded_do_not_end_a_run(tmp_path: Path) -> None:
+    files = {(f, i): image(tmp_path / f / f"{i}.jpg", i) for f in "dq" for i in range(24)}
+    database, queries = (tuple(files[f, i] for i in range(24)) for f in "dq")
+    database[3].write_bytes(b"junk")
+    queries[7].write_bytes(queries[7].read_bytes()[:100])
+    dataset = Dataset("walk", database, queries, tuple(np.array([i]) for i in range(24)), "same frame")
+    wrong = Contender(lambda _: nullcontext(FakeRetriever(lambda a, b: abs(a - b))))
+    found = run(dataset, [wrong], [TinyImage(), RandomOrder()], examples=24)
+    tiny, chance = found.evaluation.methods[-2:]
+    assert [number for number, first in enumerate(tiny.first) if first != 1] == [3, 7]
+    assert (tiny.refused, chance.refused) == ({"undecodable-picture": 2}, {})
+    assert "tiny image: refused 2 x undecodable-picture" in as_text(found.evaluation)
+    page = as_html([found.evaluation], {"walk": found.examples})
+    assert "tiny image refused 2 x undecodable-picture." in page
+    assert "a right answer 3.jpg, which cannot be decoded" in page
 
 
 def test_the_command_writes_its_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
