@@ -321,6 +321,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     ]
     if not chosen:
         parser.error(f"--variants {options.variants} names none of: {', '.join(v.name for v in VARIANTS)}")
+    if options.write:
+        options.write.parent.mkdir(parents=True, exist_ok=True)
     measured: list[Measured] = []
     try:
         for dataset in read(options.dataset, options):

@@ -97,6 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
         if not chosen:
             raise InvalidParameters.of("sets", f"{options.sets} begins no name of {', '.join(s.name for s in sets)}")
+        options.out.mkdir(parents=True, exist_ok=True)
         with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
             decided = measure(chosen, sets, runtime, options.preset, _options(options))
     except (RevisitError, ValueError) as refusal:  # ValueError: too few places for the protocols
@@ -129,7 +130,6 @@ def _write(decided: Sequence[Decided], options: argparse.Namespace) -> None:
     apart = tuple(name for name in options.apart.split(",") if name)
     found = rows(decided, options.seed, apart)
     out: Path = options.out
-    out.mkdir(parents=True, exist_ok=True)
     text = as_markdown(found)
     print(text)
     (out / "decisions.md").write_text(text + "\n")

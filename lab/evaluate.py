@@ -8,6 +8,7 @@ import os
 import platform
 import resource
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -196,6 +197,7 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
     outcomes = []
     with services(options, connect) as (contenders, needs):
         others = others_of(options, needs)
+        options.out.mkdir(parents=True, exist_ok=True)
         for dataset in datasets:
             with progress_bar(dataset.name) as progress:
                 outcome = run(
@@ -211,7 +213,6 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
             print(as_text(outcome.evaluation) + "\n", flush=True)
             outcomes.append(outcome)
     evaluations = [o.evaluation for o in outcomes]
-    options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "evaluation.json").write_text(as_json(evaluations))
     (options.out / "evaluation.md").write_text(overview(evaluations) + "\n")
     images = {o.evaluation.dataset: o.examples for o in outcomes}
@@ -233,10 +234,17 @@ def others_of(options: argparse.Namespace, needs: Needs) -> Rivals:
     """What the service is compared with: baselines, what was left in files, and first answers ordered anew."""
     names = [] if options.baselines in ("", "none") else options.baselines.split(",")
     made = rivals(names, needs, options.seed)
-    everything = (*made.baselines, *named(options.ranked, Ranked), *named(options.descriptors, Descriptors))
+    files: list[Ranked | Descriptors] = [*named(options.ranked, Ranked), *named(options.descriptors, Descriptors)]
+    if lost := [str(one.path) for one in files if not one.path.is_file()]:
+        raise InvalidParameters.of("file", f"there is no {', '.join(lost)}")
+    everything = (*made.baselines, *files)
+    there = [one.name for one in everything] + ([] if options.no_service else presets(options))
+    if twice := [name for name, count in Counter(there).items() if count > 1]:
+        raise InvalidParameters.of("methods", f"two are called {', '.join(twice)}: give one another name, NAME=FILE")
+    if not there:
+        raise InvalidParameters.of("methods", "there are none to measure; --truth-only looks at the set alone")
     if not options.rerank:
         return replace(made, baselines=everything)
-    there = [one.name for one in everything] + ([] if options.no_service else presets(options))
     if unknown := [name for name in options.rerank if name not in there]:
         raise InvalidParameters.of("rerank", f"{', '.join(unknown)} is not measured here; there are {', '.join(there)}")
     if options.aliked_lightglue is None:

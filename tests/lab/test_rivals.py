@@ -140,6 +140,10 @@ def test_a_set_is_exported_by_names_and_evaluated_again(tmp_path: Path, capsys: 
         (["--rerank", "tiny image", "--no-service", "--aliked-lightglue", "X", "--rerank-first", "0"], "1 or more"),
         (["--baselines", "anyloc", "--no-service"], "--dinov2 FILE"),
         (["--export", "there"], "has no positions"),
+        (["--no-service", "--ranked", "mine=nowhere.txt"], "file: there is no nowhere.txt"),
+        (["--no-service", "--descriptors", "nowhere.npz"], "file: there is no nowhere.npz"),
+        (["--no-service", "--ranked", f"tiny image={__file__}"], "two are called tiny image"),
+        (["--no-service", "--baselines", "none"], "there are none to measure"),
     ],
 )
 def test_what_cannot_be_measured_is_said_at_once(
