@@ -4,11 +4,13 @@ Images are named by the ends of their paths, as far as needed to tell them apart
 """
 
 import csv
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -62,7 +64,7 @@ class Ranked:
 
     @cached_property
     def _rows(self) -> list[tuple[str, str, float | None]]:
-        lines = _read(self.path, lambda path: path.read_text().splitlines())
+        lines = _read(self.path, lambda path: path.read_text("utf-8-sig").splitlines())
         rows = []
         for number, line in enumerate(lines, start=1):
             fields = next(csv.reader([line], skipinitialspace=True)) if "," in line else line.split()
@@ -71,10 +73,11 @@ class Ranked:
             try:
                 query, image, *rest = (field.strip() for field in fields)
                 distance = float(rest[0]) if rest else None
+                if distance is not None and not math.isfinite(distance):
+                    raise ValueError
             except ValueError:
-                raise InvalidParameters.of(
-                    "file", f"{self.path}, line {number}: needs a query, a database image, and perhaps a distance"
-                ) from None
+                needed = "needs a query, a database image, and perhaps a distance, which is a finite number"
+                raise InvalidParameters.of("file", f"{self.path}, line {number}: {needed}") from None
             rows.append((query, image, distance))
         return rows
 
@@ -119,7 +122,7 @@ class Descriptors:
     @cached_property
     def _arrays(self) -> tuple[list[str], Floats]:
         def read(path: Path) -> tuple[list[str], Floats]:
-            with np.load(path, allow_pickle=False) as arrays:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return [str(name) for name in arrays["names"]], np.asarray(arrays["descriptors"], np.float32)
 
         names, descriptors = _read(self.path, read)
@@ -132,7 +135,7 @@ class Descriptors:
 def _read(path: Path, read: Callable[[Path], T]) -> T:
     try:
         return read(path)
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise InvalidParameters.of("file", f"{path} cannot be read: {error}") from None
 
 

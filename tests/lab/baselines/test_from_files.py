@@ -27,6 +27,7 @@ def written(folder: Path, text: str) -> Path:
     ("text", "distances"),
     [
         ("query/0.jpg database/2.jpg\nquery/0.jpg database/0.jpg\nquery/1.jpg 1.jpg\n", [[1, INF, 0], [INF, 2, INF]]),
+        ("\ufeffquery,database,distance\n0.jpg,2.jpg,0.5\n1.jpg,0.jpg,7\n", [[INF, INF, 0.5], [7, INF, INF]]),
         ("query,database,distance\n0.jpg,2.jpg,0.5\n1.jpg,0.jpg,7\n\n", [[INF, INF, 0.5], [7, INF, INF]]),
         (
             "/set/query/0.jpg,0.jpg\nquery/1.jpg,0.jpg\nelsewhere.jpg,0.jpg\n1.jpg,none.jpg\n",
@@ -48,6 +49,7 @@ def test_ranked_lists(tmp_path: Path, text: str, distances: list[list[float]]) -
     [
         ("query/0.jpg\n", "line 1: needs a query"),
         ("0.jpg,1.jpg,near\n", "line 1: needs a query"),
+        ("0.jpg,1.jpg,1\n1.jpg,1.jpg,nan\n", "line 2: needs a query, .* a finite number"),
         ("0.jpg 1.jpg\n", "lists nothing for 1 of 2 images: /set/query/1.jpg"),
         ("", "lists nothing for 2 of 2 images"),
     ],
@@ -82,7 +84,9 @@ def test_descriptors_that_cannot_be_used(tmp_path: Path, arrays: dict[str, objec
 
 def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("names")
-    for path in (tmp_path / "missing.npz", tmp_path / "text.npz"):
+    np.savez(tmp_path / "whole.npz", names=["0.jpg"], descriptors=np.zeros((1, 3)))
+    (tmp_path / "half.npz").write_bytes((tmp_path / "whole.npz").read_bytes()[:200])
+    for path in (tmp_path / "missing.npz", tmp_path / "text.npz", tmp_path / "half.npz"):
         with pytest.raises(InvalidParameters, match=path.name):
             Descriptors("theirs", path).rank(DATABASE, QUERIES, nothing)
 
