@@ -2,8 +2,12 @@
 
 import argparse
 import ast
+import contextlib
+import importlib
 import importlib.util
 import inspect
+import io
+import itertools
 import re
 import tomllib
 from functools import cache
@@ -73,6 +77,40 @@ def test_every_command_that_a_page_shows_exists_with_its_options(page: Path) -> 
             continue  # their modules parse the options
         for option in (word for word in words[1:] if word.startswith("--")):
             assert option.rstrip(",.;:)") in text or "..." in text, f"./revisit {line}"
+
+
+STUDIED = [page for page in PAGES if page.name != "CHANGELOG.md" and page.parent.name != "decisions"]
+"""Pages whose commands are those of today."""
+
+
+def studies(page: Path) -> list[tuple[str, list[str]]]:
+    """Modules that a page has run, with their words; of shell variables what the page puts into them."""
+    text = re.sub(r"\\\n\s*", " ", page.read_text())
+    values = {name: " ".join(value.split()) for name, value in re.findall(r'^    (\w+)="([^"]*)"', text, re.MULTILINE)}
+    found = re.findall(r"python -m ((?:lab|training|scenes)[\w.]*)([^`\n#&|)]*)", text)
+    return [(module, re.sub(r"\$(\w+)", lambda m: values.get(m[1], "1"), rest).split()) for module, rest in found]
+
+
+@cache
+def study_help(module: str, *before: str) -> str:
+    """What ``--help`` says after some words, which may name a command of the module's own."""
+    found = importlib.import_module(module)
+    if hasattr(found, "__path__"):
+        found = importlib.import_module(f"{module}.__main__")
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        found.main([*before, "--help"])
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("page", [page for page in STUDIED if studies(page)], ids=lambda p: p.name)
+def test_every_study_that_a_page_runs_takes_its_options(page: Path) -> None:
+    for module, words in studies(page):
+        options = [word for word in words if word.startswith("--")]
+        if options:
+            text = study_help(module, *itertools.takewhile(lambda word: not word.startswith("--"), words))
+            for option in options:
+                assert re.search(rf"(?<![\w-]){option.rstrip('.,;:')}(?![\w-])", text), (module, option)
 
 
 def test_every_setting_that_files_name_exists() -> None:
