@@ -17,6 +17,9 @@ _HEADS = frozenset(("from16", "from8", "from4", "fuse", "refine", "sharpen", "wo
 
 _WARM_UP = 0.03
 
+CHECKPOINT = "checkpoint.pt"
+"""Name of the file in a run's folder that it can go on from."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -179,16 +182,34 @@ class Run:
             "plan": asdict(self.plan),
             "random": torch.get_rng_state(),
         }
-        path = self._folder / "checkpoint.pt"
+        path = self._folder / CHECKPOINT
         partial = path.with_suffix(".partial")
         torch.save(content, partial)
         partial.replace(path)
 
     def resume(self) -> None:
-        """Go on with the run that `save` wrote; the plan may have changed since."""
-        content = torch.load(self._folder / "checkpoint.pt", map_location=self.device, weights_only=True)
+        """Go on with the run that `save` wrote; the plan may have changed since.
+
+        What was logged after that goes: those steps are taken, and logged, again.
+        """
+        content = torch.load(self._folder / CHECKPOINT, map_location=self.device, weights_only=True)
         self.network.load_state_dict(content["network"])
         self.average.load_state_dict(content["average"])
         self._optimizer.load_state_dict(content["optimizer"])
         self._sums, self.step, self.seconds = content["sums"], content["step"], content["seconds"]
         torch.set_rng_state(content["random"].cpu())
+        log = self._folder / "log.jsonl"
+        if log.exists():
+            # The last line may have been cut off while it was written.
+            kept = [line for line in log.read_text().splitlines(keepends=True) if _step_of(line) <= self.step]
+            partial = log.with_suffix(".partial")
+            partial.write_text("".join(kept))
+            partial.replace(log)
+
+
+def _step_of(line: str) -> float:
+    """The step of a line of the log; infinite where it is not whole."""
+    try:
+        return float(json.loads(line)["step"])
+    except ValueError:
+        return math.inf

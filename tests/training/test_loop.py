@@ -99,6 +99,23 @@ def test_the_log_has_a_line_of_mean_losses_every_few_steps(data_folder: Path, le
     assert {"label", "strong_label", "semantic_two_view", "detail_two_view", "similarity"} <= lines[0].keys()
 
 
+def test_a_run_that_was_killed_logs_each_step_once(data_folder: Path, lexicon: Lexicon, tmp_path: Path) -> None:
+    run, batches = run_in(tmp_path, data_folder, lexicon)
+    run.save()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "save", lambda: None)  # killed before the next checkpoint
+        run.train(stream(batches, 0, workers=0))
+    with (tmp_path / "log.jsonl").open("a") as log:
+        log.write('{"step": 6, "minu')
+
+    resumed, batches = run_in(tmp_path, data_folder, lexicon)
+    resumed.resume()
+    resumed.train(stream(batches, resumed.step, workers=0))
+
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in lines] == [2, 4]
+
+
 @pytest.mark.parametrize("progress", [0.0, 0.01, 0.03, 0.5, 1.0])
 def test_the_learning_rate_rises_briefly_and_sinks_to_nothing(progress: float) -> None:
     rate = PLAN.rate(progress)

@@ -13,7 +13,8 @@ import cv2
 import torch
 import torch.nn.functional as F  # noqa: N812
 
-from training.loop import Plan, Run
+from training.data.sources import CLIP_FILE
+from training.loop import CHECKPOINT, Plan, Run
 from worker.configure import keep_freed_memory
 
 
@@ -36,11 +37,31 @@ def add_run_options(parser: argparse.ArgumentParser, *, trunk: bool = True) -> N
 
 
 def check_run_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Refuse a run without a length, and bfloat16 on a processor that only emulates it."""
-    if not options.minutes and not options.steps:
-        parser.error("say how long: --minutes or --steps")
+    """Refuse a run without a length, bfloat16 on a processor that only emulates it, and what would fail later.
+
+    Files that are not there would be missed after minutes of labelling, and a second run in a folder would write over
+    the first one's checkpoint.
+    """
+    if not (options.minutes or options.steps) or min(options.minutes, options.steps) < 0:
+        parser.error("say how long: --minutes or --steps, above 0")
     if options.half and options.device == "cpu" and (ratio := bfloat16_time_ratio()) > 1.5:
         parser.error(f"bfloat16 takes {ratio:.0f} times as long as float32 on this processor: leave --half out")
+
+    for name in ("trunk", "pretrained", "pretrained_detail", "network"):
+        path = getattr(options, name, None)
+        if path is not None and not path.is_file():
+            parser.error(f"--{name.replace('_', '-')} {path}: there is no such file")
+    for name in ("data", "tokens"):
+        path = getattr(options, name, None)
+        if path is not None and not path.is_dir():
+            parser.error(f"--{name} {path}: there is no such folder")
+    if hasattr(options, "trunk") and not (options.data / CLIP_FILE).is_file():
+        parser.error(f"--data {options.data}: there is no {CLIP_FILE} in it")
+    there = (options.out / CHECKPOINT).exists()
+    if there and not options.resume:
+        parser.error(f"--out {options.out} holds a run: go on with it by --resume, or name another folder")
+    if options.resume and not there:
+        parser.error(f"--resume: there is no {CHECKPOINT} in {options.out}; leave it out to begin")
 
 
 def bfloat16_time_ratio() -> float:

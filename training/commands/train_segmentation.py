@@ -125,11 +125,11 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--distillation-weight", type=float, default=SegmentationPlan.distillation_weight)
     parser.add_argument("--soft-iou-weight", type=float, default=SegmentationPlan.soft_iou_weight)
     options = parser.parse_args(arguments)
-    check_run_options(parser, options)
     if not 0 < options.zoom[0] <= options.zoom[1]:
         parser.error(f"--zoom wants the least, above 0, and the greatest: not {options.zoom[0]:g} {options.zoom[1]:g}")
     if min(options.set_shares) < 0 or not any(options.set_shares):
         parser.error(f"--set-shares wants numbers of at least 0, one of them above: not {options.set_shares}")
+    check_run_options(parser, options)
     options.set_shares = dict(zip(SEGMENTATION_SHARES, options.set_shares, strict=True))
     return options
 

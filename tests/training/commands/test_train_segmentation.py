@@ -76,7 +76,8 @@ def test_the_command_trains_resumes_and_says_which_network_it_began_with(
 ) -> None:
     monkeypatch.setattr("training.commands.train_segmentation.read_trunk", lambda path: {})
     monkeypatch.setattr("training.commands.train_segmentation.Teacher", lambda state: CertainOfRoad())
-    given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--network", str(weights)]
+    (tmp_path / "trunk.npz").touch()
+    given = ["--data", str(data_folder), "--trunk", str(tmp_path / "trunk.npz"), "--network", str(weights)]
     given += [
         "--out",
         str(tmp_path / "run"),
@@ -107,7 +108,16 @@ def independent(
     """Options of a run that trains an independent network from a trunk, in the folder ``run``."""
     monkeypatch.setattr("training.commands.train_segmentation.read_trunk", lambda path: trunk)
     monkeypatch.setattr("training.commands.train_segmentation.Teacher", lambda state: CertainOfRoad())
-    given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--network", str(weights), "--independent"]
+    (tmp_path / "trunk.npz").touch()
+    given = [
+        "--data",
+        str(data_folder),
+        "--trunk",
+        str(tmp_path / "trunk.npz"),
+        "--network",
+        str(weights),
+        "--independent",
+    ]
     given += [
         "--out",
         str(tmp_path / "run"),
