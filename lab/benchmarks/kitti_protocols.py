@@ -13,9 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.datasets.dataset import within
-from lab.datasets.kitti import X, Z
+from lab.datasets.dataset import UnexpectedLayout, within
+from lab.datasets.kitti import X, Z, read_poses
 from lab.metrics.recall import DEPTHS, Doubles, Indices, Truth, chance, first_right, recall
+
+FEWEST = 2 * max(DEPTHS)
+"""Frames of a drive whose halves have as many as are ranked."""
 
 HEIGHT = 7
 RADIUS_M = 25.0
@@ -70,9 +73,14 @@ def row(protocol: Protocol, poses: Doubles, depths: Sequence[int] = DEPTHS) -> t
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Print the table for a file of poses."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("poses", type=Path)
-    poses = np.loadtxt(parser.parse_args(argv).poses)
+    parser = argparse.ArgumentParser(prog="revisit benchmark kitti_protocols", description=__doc__.splitlines()[0])
+    parser.add_argument("poses", type=Path, help="poses/00.txt of the odometry benchmark")
+    try:
+        poses = read_poses(parser.parse_args(argv).poses)
+    except UnexpectedLayout as refusal:
+        parser.error(str(refusal))
+    if len(poses) < FEWEST:
+        parser.error(f"{len(poses)} poses are too short a drive: it takes {FEWEST}")
     print("| split and truth | answerable | ranked by true distance @1/5/10/20 | random @1/5/10/20 |")
     print("| --- | --- | --- | --- |")
     for protocol in protocols(len(poses)):

@@ -186,7 +186,9 @@ def compare(weights: Path, images: list[Path], variants: list[tuple[Mode, str]],
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print versions and the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(
+        prog="revisit benchmark lseg", description=__doc__.splitlines()[0] if __doc__ else None
+    )
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--modes", nargs="+", choices=["windows", "single"], default=["windows", "single"])

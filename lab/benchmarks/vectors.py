@@ -54,7 +54,9 @@ RECIPE = MapRecipe(
 
 def main(given: Sequence[str] | None = None) -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description="Time searches in memory and in PostgreSQL.")
+    parser = argparse.ArgumentParser(
+        prog="revisit benchmark vectors", description="Time searches in memory and in PostgreSQL."
+    )
     parser.add_argument("--database", required=True, help="SQLAlchemy URL of an empty PostgreSQL database")
     parser.add_argument("--views", type=int, nargs="+", default=[1000, 10_000, 100_000])
     parser.add_argument("--queries", type=int, default=40)

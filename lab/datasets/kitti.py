@@ -96,7 +96,12 @@ def read(
 
 
 def ground_plane(path: Path) -> Doubles:
-    """Positions in the ground plane from a file of poses, float64 (frames, 2): x and z in metres.
+    """Positions in the ground plane from a file of poses, float64 (frames, 2), metres; raises as `read_poses`."""
+    return read_poses(path)[:, [X, Z]]
+
+
+def read_poses(path: Path) -> Doubles:
+    """A file of poses, float64 (frames, 12).
 
     Raises
     ------
@@ -120,4 +125,4 @@ def ground_plane(path: Path) -> Doubles:
     unknown = np.flatnonzero(~np.isfinite(poses).all(axis=1))
     if len(unknown):
         raise UnexpectedLayout(path, f"line {unknown[0] + 1} has a number that is not finite", EXPECTED)
-    return poses[:, [X, Z]]
+    return poses

@@ -41,3 +41,23 @@ def test_the_command_prints_the_table(tmp_path: Path, capsys: pytest.CaptureFixt
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 + 4
     assert len({line.count("|") for line in lines}) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "there is no such file"),
+        ("1 0 0\n", "line 1 has 3 numbers, not 12"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 30, "30 poses are too short a drive: it takes 40"),
+    ],
+)
+def test_poses_that_cannot_be_used_are_refused(
+    content: str | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / "00.txt").write_text(content)
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "00.txt")])
+    message = capsys.readouterr().err
+    assert "revisit benchmark kitti_protocols: error" in message
+    assert said in message
