@@ -155,7 +155,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rerank-first", type=int, default=10, metavar="N", help="so many of them (default: 10)")
     parser.add_argument("--export", type=Path, metavar="FOLDER", help="copy the set under such names, measure nothing")
-    parser.add_argument("--url", help="measure the service that runs there")
+    parser.add_argument(
+        "--url", help="measure the service that runs there, in a map of its own; REVISIT_KEY: a key of scope admin"
+    )
     parser.add_argument("--no-service", action="store_true", help="baselines only")
     parser.add_argument("--truth-only", action="store_true", help="only sizes, chance and ceiling of the ground truth")
     parser.add_argument("--examples", type=whole(0), default=3, help="right and wrong answers shown in the report")

@@ -1,12 +1,13 @@
 """A service behind a URL as something to be measured, through the client."""
 
+import sys
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from revisit_client import Revisit, RevisitProblem
+from revisit_client import ClientError, Revisit, RevisitProblem
 from revisit_client.wire import MapFacts
 
 from lab.datasets.dataset import Dataset
@@ -72,13 +73,17 @@ def connect(url: str, preset: str) -> Contender:
 
 @contextmanager
 def _map_of_its_own(url: str, preset: str, dataset: Dataset) -> Iterator[ServedRetriever]:
-    """A map that nobody else uses, removed afterwards."""
+    """A map that nobody else uses, removed afterwards; where that fails, it is said what is left."""
     with Revisit(url) as revisit:
         facts = revisit.put_map(f"evaluation-{uuid.uuid4().hex[:12]}", preset=preset)
         try:
             yield ServedRetriever(revisit, facts, preset)
         finally:
-            revisit.delete_map(facts.name)
+            try:
+                revisit.delete_map(facts.name)
+            except ClientError as error:
+                left = f"the map {facts.name} is left there: `./revisit maps {facts.name} --delete`"
+                print(f"{url}: {error}; {left}", file=sys.stderr)
 
 
 def _refusal(problem: RevisitProblem) -> RevisitError:

@@ -70,3 +70,19 @@ def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
             retriever.enroll(image, Position())
 
     assert caught.value.code == "nothing-static"
+
+
+def test_answers_are_kept_although_the_service_goes_before_its_map_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = tmp_path / "a.jpg"
+    image.write_bytes(b"image")
+    with fake_service() as service:
+        replies(service)
+        service.replies["DELETE /maps/m"] = 500, answers.problem("internal", 500)
+        with connect(service.url, "default").open(cast(Dataset, None)) as retriever:
+            retriever.enroll(image, Position())
+            answer = retriever.query(image, 3)
+
+    assert answer.status == "matched"
+    assert "the map m is left there: `./revisit maps m --delete`" in capsys.readouterr().err
