@@ -96,6 +96,7 @@ def svg(draw: "Callable[[Axes], None]", height: float = HEIGHT) -> bytes:
         {
             "svg.hashsalt": "revisit",  # ids would be random otherwise
             "svg.fonttype": "none",  # text stays text
+            "text.parse_math": False,  # a method's name may have dollar signs
             "font.size": 9,
             "axes.grid": True,
             "axes.axisbelow": True,

@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -95,6 +96,13 @@ def test_plots_are_vector_graphics_with_text(outcome: Outcome) -> None:
         assert "nan" not in plot
     assert [word in plots[0] for word in ("recall@N", "chance", "ceiling", "fake")] == [True] * 4
     assert "1.5 / 1.5 ms" in plots[3]
+
+
+def test_a_method_may_have_any_name(outcome: Outcome) -> None:
+    method = replace(outcome.evaluation.methods[0], method=r"mine $\frac$ <b>")
+    page = as_html([replace(outcome.evaluation, methods=(method,))], {})
+    first = re.findall(r"image/svg\+xml;base64,([^\"]*)", page)[0]
+    assert r"mine $\frac$ &lt;b&gt;" in base64.b64decode(first).decode()
 
 
 def test_a_set_without_answers_is_reported_too(tmp_path: Path) -> None:
