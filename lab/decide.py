@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from lab.datasets.choosing import add_dataset_arguments, add_device, read, whole
+from lab.datasets.choosing import add_dataset_arguments, add_device, chosen, read, whole
 from lab.datasets.dataset import Dataset
 from lab.datasets.layout import with_attributes
 from lab.datasets.protocols import GUARD, STRETCHES
@@ -23,20 +23,20 @@ from lab.evaluation.once import DescribeOnce
 from lab.evaluation.progress import progress_bar
 from lab.evaluation.service import map_of_its_own
 from lab.libraries import FOR_FITTING, FOR_REPORTS, require
-from schemas.errors import InvalidParameters, RevisitError
+from schemas.errors import RevisitError
 from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 from worker.runtime import Runtime
 
 
 def measure(
-    chosen: Sequence[Dataset], sets: Sequence[Dataset], runtime: Runtime, preset: str, options: Options
+    wanted: Sequence[Dataset], sets: Sequence[Dataset], runtime: Runtime, preset: str, options: Options
 ) -> list[Decided]:
     """Decide about the queries of all trials of some sets.
 
     Parameters
     ----------
-    chosen : sequence of Dataset
+    wanted : sequence of Dataset
         Sets whose maps are made.
     sets : sequence of Dataset
         Where queries of other sites come from.
@@ -51,7 +51,7 @@ def measure(
     """
     recipe = make_recipe(runtime.encoder, Wanted(), preset=preset)
     decided = []
-    for dataset in map(with_attributes, chosen):
+    for dataset in map(with_attributes, wanted):
         with progress_bar(dataset.name) as bar:
             for trial in trials(dataset, sets, options):
                 with map_of_its_own(runtime, recipe, preset, dataset) as service:
@@ -94,12 +94,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         require((*FOR_FITTING, *FOR_REPORTS))
         sets = read(options.dataset, options)
-        chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
-        if not chosen:
-            raise InvalidParameters.of("sets", f"{options.sets} begins no name of {', '.join(s.name for s in sets)}")
+        wanted = chosen(sets, options.sets)
         options.out.mkdir(parents=True, exist_ok=True)
         with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
-            decided = measure(chosen, sets, runtime, options.preset, _options(options))
+            decided = measure(wanted, sets, runtime, options.preset, _options(options))
     except (RevisitError, ValueError) as refusal:  # ValueError: too few places for the protocols
         print(refusal, file=sys.stderr)
         return 2

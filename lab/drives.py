@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lab.baselines.seqslam import CLAIMED, SeqSlam, matched
-from lab.datasets.choosing import add_dataset_arguments, add_device, read
+from lab.datasets.choosing import add_dataset_arguments, add_device, chosen, read
 from lab.datasets.dataset import Dataset
 from lab.datasets.layout import with_attributes
 from lab.datasets.protocols import Query, Trial, halves, whole
@@ -217,9 +217,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--sets", default="", help="only sets whose names begin so, comma-separated")
     options = parser.parse_args(argv)
     try:
-        sets = [one for one in read(options.dataset, options) if one.sequential]
-        chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
-        trials = [trial for one in map(with_attributes, chosen) for trial in [whole(one), *halves(one)]]
+        walks = chosen(read(options.dataset, options), options.sets, walks=True)
+        trials = [trial for one in map(with_attributes, walks) for trial in [whole(one), *halves(one)]]
         with served(options) as measured:
             print(HEADING + "\n" + "|---" * (HEADING.count("|") - 1) + "|")
             published, plain = SeqSlam(), SeqSlam(local_contrast=False)

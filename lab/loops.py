@@ -17,7 +17,7 @@ from pathlib import Path
 from revisit_client import Revisit
 from revisit_client.loops import Keyframe, Loop, LoopCloser
 
-from lab.datasets.choosing import add_dataset_arguments, read, whole
+from lab.datasets.choosing import add_dataset_arguments, chosen, read, whole
 from lab.datasets.dataset import Dataset
 from lab.faults.process import serve, settings
 from schemas.errors import RevisitError
@@ -121,14 +121,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--repeat", type=whole(1), default=3, help="times that each walk is walked (3)")
     options = parser.parse_args(argv)
     try:
-        sets = [one for one in read(options.dataset, options) if one.sequential]
+        walks = chosen(read(options.dataset, options), options.sets, walks=True)
         print("| walk | single | 2 agree | 3 agree | as a drive | as a drive, 3 agree |\n|---|---|---|---|---|---|")
-        for dataset in sets:
-            if dataset.name.startswith(tuple(options.sets.split(","))):
-                single, drive = ([run(dataset, drive=d) for _ in range(options.repeat)] for d in (False, True))
-                cells = [cell(dataset, single, count) for count in CONSISTENT]
-                cells += [cell(dataset, drive, count) for count in (1, 3)]
-                print(f"| {dataset.name} | {' | '.join(cells)} |", flush=True)
+        for dataset in walks:
+            single, drive = ([run(dataset, drive=d) for _ in range(options.repeat)] for d in (False, True))
+            cells = [cell(dataset, single, count) for count in CONSISTENT]
+            cells += [cell(dataset, drive, count) for count in (1, 3)]
+            print(f"| {dataset.name} | {' | '.join(cells)} |", flush=True)
     except (RevisitError, ValueError) as refusal:
         print(refusal, file=sys.stderr)
         return 2

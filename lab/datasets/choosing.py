@@ -2,7 +2,7 @@
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,23 @@ PROTOCOLS = {
     "folder": ("utm",),
 }
 """Ways of reading or judging a data set, by its name; of kitti the first is the default."""
+
+
+def chosen(datasets: Sequence[Dataset], beginnings: str, *, walks: bool = False) -> list[Dataset]:
+    """Sets whose names begin with one of some texts, comma-separated; of these the walks, if only they are wanted.
+
+    Raises
+    ------
+    InvalidParameters
+        There are none.
+    """
+    found = [one for one in datasets if one.name.startswith(tuple(beginnings.split(",")))]
+    names = ", ".join(one.name for one in datasets)
+    if not found:
+        raise InvalidParameters.of("sets", f"{beginnings} begins no name of {names}")
+    if walks and not any(one.sequential for one in found):
+        raise InvalidParameters.of("sets", f"no walk, whose neighbouring queries share right answers, is among {names}")
+    return [one for one in found if one.sequential or not walks]
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:

@@ -112,3 +112,18 @@ def test_no_part_of_the_method_has_such_a_name(tmp_path: Path, capsys: pytest.Ca
     with pytest.raises(SystemExit):
         ablate.main(["aligned", "--root", str(tmp_path), "--variants", "nope"])
     assert "--variants nope names none of: default, " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", [drives.main, loops.main])
+def test_studies_of_walks_say_that_there_are_none(
+    study: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert callable(study)
+    for name in ("database", "query"):
+        for i in range(4):
+            image(tmp_path / "campus" / name / f"{i}.png", i)
+    given = ["aligned", "--root", str(tmp_path / "campus"), "--tolerance", "0"]
+    assert study(given) == 2
+    assert "no walk, whose neighbouring queries share right answers, is among campus" in capsys.readouterr().err
+    assert study([*given, "--sets", "south"]) == 2
+    assert "sets: south begins no name of campus" in capsys.readouterr().err
