@@ -146,12 +146,13 @@ def queries_in_database(dataset: Dataset) -> list[Path]:
         by_size.setdefault(path.stat().st_size, []).append(path)
     same_size = {query: by_size.get(query.stat().st_size, []) for query in dataset.queries}
     # Few files have the same size, so that few are read.
-    digests = {path: _digest(path) for paths in same_size.values() for path in paths}
-    return [query for query, paths in same_size.items() if paths and _digest(query) in {digests[p] for p in paths}]
+    digests = {path: digest(path) for paths in same_size.values() for path in paths}
+    return [query for query, paths in same_size.items() if paths and digest(query) in {digests[p] for p in paths}]
 
 
-def _digest(path: Path) -> bytes:
-    return hashlib.sha256(path.read_bytes()).digest()
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hex digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def rows_of(path: Path, columns: Sequence[str], expected: str) -> list[dict[str, str]]:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lab.datasets.dataset import Dataset
+from lab.datasets.dataset import Dataset, digest
 from lab.metrics.recall import Booleans, Doubles, Indices
 from schemas.description import Floats
 from schemas.errors import RevisitError, SetupError
@@ -275,9 +275,12 @@ class _Journal:
 def fingerprint(dataset: Dataset, recipe: str, seed: int, depth: int) -> str:
     """16 hex digits that change with anything that would change an answer: files, truth, recipe, seed."""
     parts: list[object] = [dataset.name, dataset.truth, recipe, seed, depth]
-    parts += [[p.name, p.stat().st_size] for p in (*dataset.database, *dataset.queries)]
+    files = (*dataset.database, *dataset.queries)
+    # Of what is in them: an image that was turned in place keeps its name, and often its size.
+    known = {path: digest(path) for path in dict.fromkeys(files)}
+    parts += [[path.name, known[path]] for path in files]
     parts += [p.tolist() for p in dataset.positives]
-    parts += [None if dataset.allowed is None else dataset.allowed.tolist()]
+    parts += [None if array is None else array.tolist() for array in (dataset.allowed, dataset.database_positions)]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 

@@ -66,7 +66,11 @@ def test_what_changes_an_answer_starts_a_new_journal(tmp_path: Path) -> None:
     ]
     dataset.queries[0].write_bytes(b"another image")
     others.append(fingerprint(dataset, "r", 0, 20))
-    assert len({same, *others}) == 6
+    dataset.queries[0].write_bytes(b"another i(age")  # as many bytes
+    others.append(fingerprint(dataset, "r", 0, 20))
+    moved = np.zeros((len(dataset.database), 2))
+    others.append(fingerprint(replace(dataset, database_positions=moved), "r", 0, 20))
+    assert len({same, *others}) == 8
 
 
 def test_a_drive_knows_only_its_past(tmp_path: Path) -> None:
