@@ -29,6 +29,9 @@ PIXELS = "pictures"
 OUTPUTS: Mapping[str, str] = {SEMANTIC: "words", DETAIL: "detail"}
 """Names of the outputs by layer: float32 of shape (n, rows, columns, channels), unit length; as in ``compact.onnx``."""
 
+STRIDE = 8
+"""Pixels of the input per cell of the outputs, along each side."""
+
 QUERY_PRIORITY, ENROLMENT_PRIORITY = 1, 2
 """Values of the parameter ``priority``: the lower goes first (Triton's extension for scheduling)."""
 

@@ -122,12 +122,13 @@ def segmenting() -> Iterator[InferenceServer]:
 
 @pytest.fixture
 def client(server: InferenceServer) -> Iterator[InferenceClient]:
-    one = InferenceClient(server.url, "compact-1", None, PATIENCE_S)
+    one = InferenceClient(server.url, "compact-1", CHANNELS, None, PATIENCE_S)
     yield one
     one.close()
 
 
 PIXELS = np.zeros((2, 96, 128, 3), np.uint8)
+CHANNELS = {"semantic": 97, "detail": 64}
 
 
 def says(status: int, text: str = '{"error": "so it says"}', **headers: str) -> Answer:
@@ -240,7 +241,7 @@ def test_labels_stay_in_the_process(server: InferenceServer, local: CompactEncod
 
 
 def test_a_query_says_that_it_goes_first_and_how_long_it_waits(server: InferenceServer) -> None:
-    client = InferenceClient(server.url, "compact-1", "a key of the fleet", 20.0)
+    client = InferenceClient(server.url, "compact-1", CHANNELS, "a key of the fleet", 20.0)
     for urgent in (True, False):
         client.fields(PIXELS, urgent=urgent)
 
@@ -271,7 +272,7 @@ def test_whatever_is_wrong_with_it_is_said_by_name_and_soon(server: InferenceSer
     began = time.monotonic()
 
     with (
-        closing(InferenceClient(server.url, "compact-1", None, patience_s)) as client,
+        closing(InferenceClient(server.url, "compact-1", CHANNELS, None, patience_s)) as client,
         pytest.raises(EncoderAway) as away,
     ):
         client.fields(PIXELS, urgent=True)
@@ -283,7 +284,7 @@ def test_whatever_is_wrong_with_it_is_said_by_name_and_soon(server: InferenceSer
 
 def test_after_a_failure_calls_fail_at_once_until_a_small_image_is_encoded(server: InferenceServer) -> None:
     now = [0.0]
-    client = InferenceClient(server.url, "compact-1", None, PATIENCE_S, clock=lambda: now[0])
+    client = InferenceClient(server.url, "compact-1", CHANNELS, None, PATIENCE_S, clock=lambda: now[0])
     server.answer = says(503, Retry_After="4")
     with pytest.raises(EncoderAway) as away:
         client.fields(PIXELS, urgent=True)

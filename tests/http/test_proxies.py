@@ -96,4 +96,4 @@ def test_a_proxy_that_cannot_be_used_is_told_at_the_start(proxy: str, monkeypatc
     with pytest.raises(SetupError, match=r"REVISIT_WEBHOOK cannot be called: .*ALL_PROXY"):
         Webhooks("https://app.example/", None, ("matched",))
     with pytest.raises(SetupError, match=r"REVISIT_ENCODER_URL cannot be called: .*ALL_PROXY"):
-        InferenceClient("https://encoder.example", "compact-1")
+        InferenceClient("https://encoder.example", "compact-1", {"semantic": 97})

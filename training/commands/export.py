@@ -31,12 +31,13 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 
+from schemas.inference import STRIDE
 from training.data.lexicon import ClipVectors, Lexicon
 from training.data.sources import CLIP_FILE, find_classes
 from training.models.checkpoints import reduced, shared_digest
 from training.models.onnx_graphs import write_fields_graph, write_segmentation_graph
 from worker.encoders.compact.ensemble import ENSEMBLE
-from worker.encoders.compact.network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE
+from worker.encoders.compact.network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS
 
 LABELS_TO_SHIP = (
     # Streets.

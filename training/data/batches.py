@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from schemas.inference import STRIDE
 from training.data import photometric
 from training.data.images import Pixels
 from training.data.lexicon import FOREGROUND, Lexicon
@@ -29,7 +30,6 @@ from training.data.viewpoint import (
     draw_views,
     shared_cells,
 )
-from worker.encoders.compact.network import STRIDE
 
 POINTS = 128
 """Corresponding points drawn from each pair of views."""

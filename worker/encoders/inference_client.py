@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import httpx
 import numpy as np
 
-from schemas.description import Floats
+from schemas.description import SEMANTIC, Floats
 from schemas.errors import NOT_CALLED, BadBody, EncoderAway, SetupError
 from schemas.image import Bytes2D, PreparedImage
 from schemas.inference import (
@@ -26,6 +26,7 @@ from schemas.inference import (
     QUERY_PRIORITY,
     ROWS,
     SEGMENTED,
+    STRIDE,
     Tensor,
     packed,
     scale_name,
@@ -44,7 +45,10 @@ REST_S, MOST_REST_S = 1, 5
 IDLE_S = 3.0
 """Seconds for which a silent connection is kept: less than servers keep it (revisit: 5 s)."""
 
-_LONGEST_WORD = 300
+UNIT_WITHIN = 0.01
+"""By how much lengths of the vectors that it answers may differ from 1: it may compute in halves of our precision."""
+
+_LONGEST_WORD, _MOST_DIGITS = 300, 9
 
 
 class UnknownModel(EncoderAway):
@@ -52,17 +56,20 @@ class UnknownModel(EncoderAway):
 
 
 class FailedImage(Exception):
-    """The server works, and failed on these images."""
+    """The server failed on these images, or gave for them what is no field; on others it may not."""
 
 
 @dataclass(frozen=True)
 class _Call:
-    """One call of a model: what it gets, what it is told besides, and the outputs by the names that they get here."""
+    """One call of a model: what it gets, what it is told besides, and the outputs by the names that they get here.
+
+    `shape` is that of each output, without its channels: images, rows and columns.
+    """
 
     model: str
     inputs: Mapping[str, Tensor]
     outputs: Mapping[str, str]
-    count: int
+    shape: tuple[int, int, int]
     parameters: Mapping[str, int]
     urgent: bool
 
@@ -76,6 +83,8 @@ class InferenceClient:
         Of the server, without ``/v2``.
     model : str
         Its name, which says which weights are meant: `schemas.inference.model_name`.
+    channels : mapping of layer to int
+        Of what these weights give.
     key : str or None
         Sent as ``Authorization: Bearer``.
     patience_s : float
@@ -93,11 +102,13 @@ class InferenceClient:
         self,
         url: str,
         model: str,
+        channels: Mapping[str, int],
         key: str | None = None,
         patience_s: float = 7.5,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._place, self._model, self._patience_s, self._clock = url.rstrip("/"), model, patience_s, clock
+        self._channels = {**channels, SEGMENTED: channels[SEMANTIC]}
         headers = {"user-agent": "revisit", "content-type": MEDIA_TYPE, "accept-encoding": "identity"}
         if key is not None:
             headers["authorization"] = f"Bearer {key}"
@@ -161,12 +172,15 @@ class InferenceClient:
         """
         inputs = {scale_name(number): scale[None] for number, scale in enumerate(image.scales)}
         rows, columns = image.grid
-        call = _Call(model, inputs, {SEGMENTED: SEGMENTED}, 1, {ROWS: rows, COLUMNS: columns}, urgent)
+        outputs, told = {SEGMENTED: SEGMENTED}, {ROWS: rows, COLUMNS: columns}
+        call = _Call(model, inputs, outputs, (1, rows, columns), told, urgent)
         layer: Floats = self._answered(call)[SEGMENTED][0]
         return layer
 
     def _encoding(self, pixels: Bytes2D, *, urgent: bool) -> _Call:
-        return _Call(self._model, {PIXELS: pixels}, OUTPUTS, len(pixels), {}, urgent)
+        count, height, width = pixels.shape[:3]
+        shape = count, height // STRIDE, width // STRIDE
+        return _Call(self._model, {PIXELS: pixels}, OUTPUTS, shape, {}, urgent)
 
     def _answered(self, call: _Call) -> Mapping[str, Floats]:
         """What the server answers, unless this model of it failed a moment ago."""
@@ -214,9 +228,14 @@ class InferenceClient:
             raise self._refused(call.model, status, headers, content)
         try:
             _, tensors = unpacked("outputs", headers.get(JSON_LENGTH), content)
-            return _layers(tensors, call)
+            layers = _layers(tensors, call, self._channels)
         except BadBody as error:
             raise self._away(f"gives an answer of another kind: {error.detail}") from None
+        for layer, field in layers.items():
+            if not _is_unit(field):
+                name = call.outputs[layer]
+                raise FailedImage(f"the encoder at {self._place} gives vectors in {name} that are not of unit length")
+        return layers
 
     def _post(self, model: str, length: int, body: bytes, patience_s: float) -> tuple[int, httpx.Headers, bytes]:
         until = self._clock() + patience_s
@@ -250,22 +269,29 @@ class InferenceClient:
         if status == 500:
             return FailedImage(f"the encoder at {self._place} answers {status}: {said}")
         after = headers.get("retry-after", "")
-        return self._away(f"answers {status}: {said}", min(MOST_REST_S, int(after)) if after.isdecimal() else REST_S)
+        rest_s = min(MOST_REST_S, int(after[:_MOST_DIGITS])) if after.isdecimal() else REST_S
+        return self._away(f"answers {status}: {said}", rest_s)
 
     def _away(self, what: str, retry_after_s: int = REST_S) -> EncoderAway:
         return EncoderAway(f"the encoder at {self._place} {what}", max(REST_S, retry_after_s))
 
 
-def _layers(tensors: Mapping[str, Tensor], call: _Call) -> Mapping[str, Floats]:
+def _layers(tensors: Mapping[str, Tensor], call: _Call, channels: Mapping[str, int]) -> Mapping[str, Floats]:
     """The outputs by the names of layers; raises BadBody."""
     layers: dict[str, Floats] = {}
     for layer, name in call.outputs.items():
         tensor = tensors.get(name)
-        if tensor is None or tensor.dtype != np.float32 or tensor.ndim != 4 or len(tensor) != call.count:
+        if tensor is None or tensor.dtype != np.float32 or tensor.shape != (*call.shape, channels[layer]):
             seen = None if tensor is None else (str(tensor.dtype), tensor.shape)
-            raise BadBody("malformed-body", f"the output {name} of {call.count} images is {seen}")
+            raise BadBody("malformed-body", f"the output {name} of {call.shape[0]} images is {seen}")
         layers[layer] = np.asarray(tensor, np.float32)
     return layers
+
+
+def _is_unit(field: Floats) -> bool:
+    """Whether all vectors of a field have unit length; those with numbers that are none have not."""
+    squares = np.einsum("...d,...d->...", field, field)
+    return bool((np.abs(squares - 1) <= 2 * UNIT_WITHIN).all())
 
 
 def _said(content: bytes) -> str:
@@ -273,7 +299,7 @@ def _said(content: bytes) -> str:
     text = content[:4096].decode(errors="replace").strip()
     try:
         told = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         told = None
     said = (told.get("error") or told.get("detail")) if isinstance(told, dict) else text
     return str(said or "nothing")[:_LONGEST_WORD]

@@ -43,8 +43,6 @@ REDUCED_CHANNELS = FUSED_CHANNELS + 1
 """Channels of the semantic field as shipped: 512-d embeddings W y + b of a 96-d y span at most 97 dimensions."""
 
 DETAIL_CHANNELS = 64
-STRIDE = 8
-"""Pixels per cell of both fields, along each side."""
 
 
 class DeepWords(nn.Module):

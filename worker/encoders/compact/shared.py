@@ -65,7 +65,7 @@ class SharedCompactEncoder(CompactEncoder):
         super().__init__(device, weights, threads=threads, encodes=False, segments=False)
         self._sending = ThreadPoolExecutor(in_flight, "revisit-sending")
         self._in_flight = in_flight
-        self._client = InferenceClient(url, model_name(self.name, self.digest), key, patience_s)
+        self._client = InferenceClient(url, model_name(self.name, self.digest), self.layers, key, patience_s)
         self._here: CompactEncoder | None = None
         try:
             self._client.probe()
