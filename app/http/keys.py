@@ -76,8 +76,11 @@ class KeyGate:
 
     def __init__(self, app: ASGIApp, keys: Keys, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self._app, self._keys, self._now = app, keys, now
-        # A thread of its own: keys are asked for while all others are busy.
+        # A thread of its own: keys are asked for while all others are busy. Another one writes, which may take a minute
+        # while somebody else does: no request waits for it.
         self._thread = ThreadPoolExecutor(1, "revisit-keys")
+        self._notes = ThreadPoolExecutor(1, "revisit-key-use")
+        self._noting: set[str | None] = set()
         self._reading: asyncio.Task[KeyRing] | None = None
         self._failures = Buckets()
 
@@ -99,8 +102,9 @@ class KeyGate:
         scope["state"]["access"] = access
         scope["state"]["check_again"] = partial(self._check_again, headers, scope["method"], path)
         now = self._now()
-        if not self._keys.is_noted(access, now):
-            self._thread.submit(self._note, access, now)
+        if access.key_id not in self._noting and not self._keys.is_noted(access, now):
+            self._noting.add(access.key_id)
+            self._notes.submit(self._note, access, now)
         await self._app(scope, receive, send)
 
     async def _access(self, headers: Headers, client: str | None) -> Access:
@@ -151,6 +155,8 @@ class KeyGate:
             self._keys.note(access, now)
         except Exception as error:  # a full disk, say: no reason to refuse the caller
             logger.warning("use of a key was not noted: %s", type(error).__name__, extra={"event": "key_use_not_noted"})
+        finally:
+            self._noting.discard(access.key_id)
 
 
 def presented(headers: Headers) -> str | None:

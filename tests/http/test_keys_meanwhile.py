@@ -35,6 +35,29 @@ def test_probes_do_not_wait_for_keys_that_cannot_be_read() -> None:
             answering.set()
 
 
+def test_no_request_waits_until_the_use_of_a_key_can_be_written_down() -> None:
+    """Whoever else writes to the database may do so for a minute, and answers need none of it."""
+    keys = KeyMaker()
+    caller = {"x-api-key": keys.make("robot", "read")}
+    going_on, written = threading.Event(), []
+
+    def waits(key_id: str, hour: datetime) -> None:
+        written.append(key_id)
+        going_on.wait(30)
+
+    keys.store.used = waits  # type: ignore[method-assign]
+    with CheckedClient(FakeRuntime(keys=keys.service).app()) as client:
+        try:
+            for _ in range(3):
+                keys.seconds += 1
+                began = time.perf_counter()
+                assert client.get("/maps", headers=caller).status_code == 200
+                assert time.perf_counter() - began < 5
+        finally:
+            going_on.set()
+    assert len(written) == 1
+
+
 @pytest.mark.parametrize("change", ["revoked", "first"])
 def test_events_end_once_their_key_does_not_do_any_more(change: str) -> None:
     keys = KeyMaker()
