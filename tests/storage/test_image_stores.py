@@ -1,6 +1,7 @@
 """What is promised of images holds wherever they lie: in a folder, or in an S3-compatible store."""
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from threading import Thread
 from typing import NoReturn
@@ -55,6 +56,16 @@ def test_the_start_begins_a_sweep(place: Place) -> None:
     place.put(facts(image("gate")).sha256, image("gate"))
     place.store.recover()
     until(lambda: place.digests() == [kept.image.sha256])
+
+
+def test_so_does_that_of_a_service_beside_others(place: Place) -> None:
+    """It may have been killed amid a deletion, and in a fleet there is always another."""
+    kept = enroll(place.store, "pond").view
+    place.store.recover()
+    place.put(facts(image("gate")).sha256, image("gate"))
+    with closing(place.open()) as again:
+        again.recover()
+        until(lambda: place.digests() == [kept.image.sha256])
 
 
 def test_a_damaged_a_lost_and_an_empty_image_are_named_and_healed_by_enrolling_again(place: Place) -> None:

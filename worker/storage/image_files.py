@@ -193,7 +193,7 @@ class Images:
                 removed += self._discard([name for name in names if DIGEST.fullmatch(name)]).removed
         return removed
 
-    def sweep_at_start(self, alone: bool) -> None:
+    def sweep_at_start(self) -> None:
         """`sweep`: its locks keep it from what others write."""
         self.sweep()
 

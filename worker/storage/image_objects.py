@@ -189,9 +189,9 @@ class ImageObjects:
                 break
         return removed
 
-    def sweep_at_start(self, alone: bool) -> None:
-        """Begin to sweep, unless another service has done so: of millions of objects it takes minutes."""
-        if alone and self._sweeper is None:
+    def sweep_at_start(self) -> None:
+        """Begin to sweep: of millions of objects it takes minutes."""
+        if self._sweeper is None:
             self._sweeper = threading.Thread(target=self._sweep_quietly, name="revisit-sweep", daemon=True)
             self._sweeper.start()
 

@@ -56,8 +56,8 @@ class ImageStore(Protocol):
         """Remove what a crash left; returns how many files."""
         ...
 
-    def sweep_at_start(self, alone: bool) -> None:
-        """`sweep`, or begin it; `alone`: whether no other service uses the database."""
+    def sweep_at_start(self) -> None:
+        """`sweep`, or begin it; others may use the database and the images."""
         ...
 
     @property

@@ -163,7 +163,7 @@ class SqlStore:
         if self._lost is not None:  # an image without a view may be all that is left of it
             log.error("the log of the database was damaged: %s; images without a view are kept, %s", self._lost, DOCTOR)
         elif is_own(self._database, self._images):
-            self._images.sweep_at_start(alone)
+            self._images.sweep_at_start()
 
     def check(self) -> str:
         """``ok``, or what is wrong with the database or the place of the images."""
