@@ -6,6 +6,7 @@ import sqlalchemy as sa
 from schemas.errors import SetupError
 from tests.storage.conftest import Place
 from tests.storage.material import enroll, facts, image
+from tests.storage.test_ownership import served
 from worker.storage import owner_file
 from worker.storage.examining import examine
 from worker.storage.object_files import ObjectFiles
@@ -111,7 +112,7 @@ def test_while_the_store_is_away_nothing_is_known(place: Place) -> None:
 
 def test_the_doctor_removes_nothing_of_the_other_copy(place: Place) -> None:
     enroll(place.store, "gate")
-    place.store.recover()
+    served(place)
     for _ in range(SLACK + 2):
         _give(place)
     url, left = place.url, facts(image("pond")).sha256
