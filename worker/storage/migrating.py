@@ -14,6 +14,12 @@ from worker.storage import dialect, vector_tables
 from worker.storage.database import Database
 from worker.storage.disk_errors import ENCODING
 from worker.storage.locks import MIGRATE, USE, FolderLock, held
+from worker.storage.peers import is_served
+
+SERVED = (
+    "the database must be migrated, but a service on another machine, or with another data folder, uses it; stop all "
+    "services and workers first. One that was killed or cut off counts for up to a minute more"
+)
 
 SCRIPTS = Path(__file__).parent / "migrations"
 
@@ -136,12 +142,16 @@ def create(database: Database) -> None:
     Raises
     ------
     SetupError
-        It is empty, and could not hold every character.
+        It is empty, and could not hold every character; or it is older, and served by a process elsewhere.
     """
     config = _config()
     with database.writing() as connection:  # all or nothing: both databases roll back changes of tables
-        if current(connection) is None and (encoding := dialect.encoding_of(connection)) is not None:
+        found = current(connection)
+        if found is None and (encoding := dialect.encoding_of(connection)) is not None:
             raise SetupError(ENCODING.format(f", {encoding},"))
+        # Whoever made an empty one's tables a moment ago may serve it by now.
+        if found not in (None, newest()) and is_served(connection):
+            raise SetupError(SERVED)
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
 

@@ -50,6 +50,14 @@ def image_lock(database: Database, data: Path) -> ImageLock:
     return by_file if dialect.is_file(database.engine) else by_server
 
 
+def is_served(connection: sa.Connection) -> bool:
+    """Whether a service has joined those of a PostgreSQL database; none does before the transaction ends. A SQLite file
+    has locks in its data folder instead: False."""
+    if connection.dialect.name != "postgresql":
+        return False
+    return not connection.scalar(sa.text(f"SELECT pg_try_advisory_xact_lock({SCHEMA}, :key)"), {"key": SERVING})
+
+
 class Peers:
     """The other services of a database.
 
