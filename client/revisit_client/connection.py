@@ -14,6 +14,7 @@ from revisit_client.errors import (
     RevisitProblem,
     Unreachable,
     Unsendable,
+    is_replayed,
     problem_of,
     reason,
     retry_after,
@@ -230,7 +231,7 @@ class Connection:
                 named, problem = retry_after(answer), problem_of(answer)
                 if lost and method == "DELETE" and answer.status_code == 404:
                     problem.detail += MAYBE_DELETED
-                trouble = RevisitProblem(problem, named)
+                trouble = RevisitProblem(problem, named, is_replayed(answer))
                 # 429 and 503 are answered before any work is done: every request may be repeated.
                 again = there = answer.status_code in (429, 503) or (lost and _still_runs(answer))
                 # A time that is over by a clock that is ahead must not make calls without a pause.
@@ -245,7 +246,7 @@ def _still_runs(answer: httpx.Response) -> bool:
     """Whether a call with an Idempotency-Key is refused because the same call before, whose answer got lost, may still
     run: a refusal of the work itself is replayed the next time."""
     keyed = "idempotency-key" in answer.request.headers
-    return keyed and answer.status_code == 409 and "idempotent-replayed" not in answer.headers
+    return keyed and answer.status_code == 409 and not is_replayed(answer)
 
 
 def _client(*, base_url: httpx.URL, transport: httpx.BaseTransport | None, **options: Any) -> httpx.Client:

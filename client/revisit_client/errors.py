@@ -50,9 +50,11 @@ class RevisitProblem(ClientError):
         Id of the call in the service's log.
     retry_after_s : float or None
         Seconds after which to try again, where the service says so.
+    replayed : bool
+        Whether it is the answer to an earlier call with this Idempotency-Key, given again: no repetition gets another.
     """
 
-    def __init__(self, problem: wire.Problem, retry_after_s: float | None = None) -> None:
+    def __init__(self, problem: wire.Problem, retry_after_s: float | None = None, replayed: bool = False) -> None:
         # The detail of several parameters is all of theirs in one line: here each has a line of its own.
         several = [f"  {error.parameter}: {error.detail}" for error in problem.errors if len(problem.errors) > 1]
         text = problem.title if several or not problem.detail else f"{problem.title}: {problem.detail}"
@@ -64,11 +66,11 @@ class RevisitProblem(ClientError):
         self.detail = problem.detail
         self.errors = problem.errors
         self.request_id = problem.request_id
-        self.retry_after_s = retry_after_s
+        self.retry_after_s, self.replayed = retry_after_s, replayed
         self._problem = problem
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._problem, self.retry_after_s), self.__dict__
+        return type(self), (self._problem, self.retry_after_s, self.replayed), self.__dict__
 
 
 class JobFailed(ClientError):
@@ -105,6 +107,11 @@ def retry_after(answer: httpx.Response) -> float | None:
         return max(0.0, (email.utils.parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
     except (TypeError, ValueError):
         return None
+
+
+def is_replayed(answer: httpx.Response) -> bool:
+    """Whether an answer is that to an earlier call with the same Idempotency-Key."""
+    return "idempotent-replayed" in answer.headers
 
 
 def problem_of(answer: httpx.Response) -> wire.Problem:

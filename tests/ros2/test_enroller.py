@@ -7,7 +7,7 @@ from typing import Any
 
 import httpx
 from revisit_client import Revisit
-from revisit_ros.enroller import Enroller
+from revisit_ros.enroller import MOST_FAILURES, Enroller
 from revisit_ros.frames import Transform
 from revisit_ros.images import Shot
 from revisit_ros.settings import ENROLL, read
@@ -207,3 +207,46 @@ def test_warnings_of_the_service_are_told() -> None:
         driven.image()
         assert driven.done() == 1
         assert (driven.value("warned_of"), driven.value("last_warning")) == ("1", "poor-picture")
+
+
+def test_an_image_that_the_map_has_with_another_position_does_not_hold_up_the_next() -> None:
+    """A camera that hangs sends the same bytes for ever, as does a recording that is played again."""
+    service = Service()
+    conflict = {"type": "urn:revisit:problem:conflict", "title": "No", "status": 409, "detail": "x", "request_id": "r"}
+
+    def of_the_map() -> httpx.Response:
+        replayed = {"idempotent-replayed": "true"} if service.keys.count(service.keys[-1]) > 1 else {}
+        return httpx.Response(409, json=conflict, headers=replayed)
+
+    with driving(service, silence=60) as driven:
+        service.answer = of_the_map
+        driven.image(0.0)
+        assert driven.done() == 0
+        assert driven.value("state") == "service busy"  # an earlier call may have sent it, and still run
+        driven.now += 1
+        driven.enroller.go_on()
+        assert driven.done() == 0
+        assert (driven.value("state"), driven.value("refused")) == ("image refused", "1")
+        service.answer = lambda: httpx.Response(201, json=enrolled())
+        driven.image(3.0)
+        assert driven.done() == 1
+    assert [field(body, "x") for body in service.bodies] == ["0.0", "0.0", "3.0"]
+
+
+def test_an_image_on_which_the_service_fails_each_time_is_left_out() -> None:
+    service = Service()
+    failed = {"type": "urn:revisit:problem:internal", "title": "No", "status": 500, "detail": "x", "request_id": "r"}
+    with driving(service, silence=600) as driven:
+        service.answer = lambda: httpx.Response(500, json=failed)
+        driven.image(0.0)
+        for _ in range(MOST_FAILURES - 1):
+            assert driven.done() == 0
+            assert driven.value("views_waiting") == "1"
+            driven.now += 60
+            driven.enroller.go_on()
+        assert driven.done() == 0
+        assert (driven.value("refused"), driven.value("views_waiting")) == ("1", "0")
+        service.answer = lambda: httpx.Response(201, json=enrolled())
+        driven.image(3.0, after=60)
+        assert driven.done() == 1
+    assert [field(body, "x") for body in service.bodies] == ["0.0"] * MOST_FAILURES + ["3.0"]

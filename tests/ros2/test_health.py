@@ -34,6 +34,8 @@ def away() -> Exception:
         (problem(403, "other-site"), "refused", ERROR, True, "another name"),
         (problem(404, "not-found"), "map missing", ERROR, False, "enrol into it"),
         (problem(408), "service busy", WARN, True, "network"),
+        (problem(409, "conflict"), "service busy", WARN, True, "network"),
+        (problem(409, "conflict", **{"idempotent-replayed": "true"}), "image refused", WARN, False, "the same again"),
         (problem(413, "body-too-large"), "image refused", WARN, False, "camera"),
         (problem(415, "not-a-picture"), "image refused", WARN, False, "camera"),
         (problem(422, "invalid-parameter"), "refused", ERROR, False, "parameter of the node"),

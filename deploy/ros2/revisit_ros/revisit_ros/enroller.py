@@ -18,6 +18,9 @@ from revisit_ros.pacing import Pace, Stride, Waiting
 MOST_WITHOUT_POSE = 10
 """Images that wait for their transform."""
 
+MOST_FAILURES = 3
+"""Times that the service may fail on one image, while it answers, before the next one is sent."""
+
 
 @dataclass(frozen=True)
 class Keyframe:
@@ -65,6 +68,7 @@ class Enroller:
         self._link = Link()
         self._caller: Caller[Keyframe, Enrolled] = Caller(self._send, wake, clock)
         self._sending = False
+        self._failures = 0  # of the service on the image that is sent
         self._started = clock()
         self._last_image: float | None = None
         self._last_view = ""
@@ -106,6 +110,7 @@ class Enroller:
         for outcome in self._caller.outcomes():
             self._sending = False
             if outcome.answer is not None:
+                self._failures = 0
                 self._link.succeeded()
                 self._counts["enrolled" if outcome.answer.created else "already_there"] += 1
                 self._last_view = outcome.answer.view.id
@@ -114,10 +119,12 @@ class Enroller:
                 done.append((outcome.job.shot, outcome.answer))
             elif outcome.error is not None:
                 trouble = trouble_of(outcome.error)
+                self._failures += trouble.of_image
                 self._link.failed(trouble, now)
-                if trouble.again:
+                if trouble.again and self._failures < MOST_FAILURES:
                     self._waiting.put_back(outcome.job)
                 else:
+                    self._failures = 0
                     self._counts["refused"] += 1
         self.go_on()
         return done

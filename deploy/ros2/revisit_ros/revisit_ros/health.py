@@ -30,6 +30,8 @@ class Trouble:
         Seconds to wait before the next call; None: longer each time.
     again : bool
         Whether the same call may succeed later.
+    of_image : bool
+        Whether the image itself may be why, so that it is not sent for ever.
     """
 
     state: str
@@ -38,6 +40,7 @@ class Trouble:
     remedy: str
     pause_s: float | None = 0.0
     again: bool = False
+    of_image: bool = False
 
 
 def trouble_of(error: Exception) -> Trouble:
@@ -69,6 +72,9 @@ def _trouble_of_problem(problem: RevisitProblem) -> Trouble:
     if problem.status == 404:
         remedy = "set the parameter map to one of `./revisit maps`, or enrol into it first"
         return Trouble("map missing", ERROR, detail, remedy, REFUSED_PAUSE_S)
+    if problem.status == 409 and problem.replayed:
+        remedy = "the map has this image with another time or position: look whether the camera sends the same again"
+        return Trouble("image refused", WARN, detail, remedy)
     if problem.status in (408, 409):
         remedy = "look at the network between the node and the service; the node tries again"
         return Trouble("service busy", WARN, detail, remedy, None, again=True)
@@ -78,7 +84,8 @@ def _trouble_of_problem(problem: RevisitProblem) -> Trouble:
     if problem.status == 507:
         return Trouble("service busy", ERROR, detail, "make room on the service's disk", REFUSED_PAUSE_S, again=True)
     if problem.status >= 500:
-        return Trouble("service away", ERROR, detail, "look into the service's log", None, again=True)
+        remedy, of_image = "look into the service's log", problem.status == 500
+        return Trouble("service away", ERROR, detail, remedy, None, again=True, of_image=of_image)
     if problem.code == "invalid-parameter":
         return Trouble("refused", ERROR, detail, "change the parameter of the node that is named", REFUSED_PAUSE_S)
     return Trouble("image refused", WARN, detail, "look at what the camera sends")
