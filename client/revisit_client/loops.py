@@ -178,10 +178,13 @@ class LoopCloser:
             self._refuse_another_walk()
         elif keyframe.number <= self.keyframes[-1].number:
             raise ValueError(f"keyframe {keyframe.number} comes after {self.keyframes[-1].number}; numbers grow")
-        seen, agreeing = self._seen(image, keyframe)
-        if keyframe.number != self._last_counted:
-            self._counted.append(None)  # by the service, whether it is enrolled or not
-        self._last_counted = keyframe.number
+        try:
+            seen, agreeing = self._seen(image, keyframe)
+        except ClientError as error:
+            if not isinstance(error, RevisitProblem) or error.status >= 500:
+                self._count(keyframe)  # the answer may have been lost: better one keyframe too many than one too few
+            raise
+        self._count(keyframe)
         enrolled = self._revisit.enroll(
             image,
             map=self._map,
@@ -198,6 +201,12 @@ class LoopCloser:
         fresh = [one for one in self._counted[-at_once:] if one is not None] if agreeing >= self._consistent else []
         self.loops += fresh
         return fresh
+
+    def _count(self, keyframe: Keyframe) -> None:
+        """Remember that the service has counted a keyframe, whether it is enrolled or not."""
+        if keyframe.number != self._last_counted:
+            self._counted.append(None)
+        self._last_counted = keyframe.number
 
     def _refuse_another_walk(self) -> None:
         try:

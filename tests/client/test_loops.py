@@ -35,7 +35,7 @@ class Service:
         self.queries: list[bytes] = []
         self.enrolled: list[bytes] = []
         self.row = Row()
-        self.refuses = False
+        self.refuses = self.loses = False
         self.told: dict[str, httpx.Response] = {}
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
@@ -44,6 +44,8 @@ class Service:
             return self._answer(request)
         if key not in self.told:
             self.told[key] = self._answer(request)
+        if self.loses:
+            raise httpx.ReadError("the network is away")
         return httpx.Response(200, content=self.told[key].content)
 
     def _answer(self, request: httpx.Request) -> httpx.Response:
@@ -175,6 +177,17 @@ def test_a_keyframe_that_was_counted_and_not_enrolled_draws_no_earlier_one_in() 
             closer.add(IMAGE, Keyframe(number, number, 0))
 
     assert [(loop.keyframe - FIRST, loop.earlier) for loop in closer.loops] == [(1, 40), (3, 42)]
+
+
+def test_a_keyframe_whose_answer_was_lost_draws_no_earlier_one_in() -> None:
+    """The service has counted it, and the robot drives on: what stood alone before it is no loop."""
+    service = Service([7, 30, 31, 32])
+    closer = service.closer(consistent=2)
+    for number in range(len(service.seen)):
+        service.loses = number == FIRST + 1
+        with pytest.raises(ClientError) if service.loses else nullcontext():
+            closer.add(IMAGE, Keyframe(number, number, 0))
+    assert [(loop.keyframe - FIRST, loop.earlier) for loop in closer.loops] == [(2, 31), (3, 32)]
 
 
 def test_a_keyframe_that_is_added_again_until_it_is_enrolled_counts_once() -> None:
