@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import StorageFailed
+from schemas.map_changes import MapChanges
 from tests.storage.conftest import Open
 from tests.storage.databases import postgres_schema
-from tests.storage.material import enroll
+from tests.storage.material import NOW, RECIPE, description, enroll
 from worker.storage import dialect
 from worker.storage.database import Database
+from worker.storage.kept_queries import PATIENCE_S
 from worker.storage.store import open_store
 
 
@@ -30,6 +32,34 @@ def test_a_writer_that_waits_too_long_is_told_that_others_write(
         assert 0.2 < time.monotonic() - began < usual_s / 2
     others.close()
     enroll(store, "gate")
+
+
+def test_a_query_that_is_to_be_kept_waits_a_second_for_others_and_enrolments_as_long_as_before(
+    reopen: Open, database_url: str
+) -> None:
+    store = reopen()
+    enroll(store, "gate")
+    store.maps.change("campus", MapChanges(keep_queries=5))
+
+    def keep() -> None:
+        store.kept_queries.keep("campus", "q", RECIPE.description, description(1), b"image", NOW)
+
+    others = Database(database_url)
+    with others.writing():
+        began = time.monotonic()
+        with pytest.raises(StorageFailed, match="being written by others"):
+            keep()
+        assert time.monotonic() - began < dialect.BUSY_S / 2
+        assert store.check_space() == "ok"  # for which nothing is tried: the service is sound
+        waiting = threading.Thread(target=enroll, args=(store, "hall"))
+        waiting.start()
+        time.sleep(2 * PATIENCE_S)
+        assert waiting.is_alive()
+    waiting.join()
+    others.close()
+    assert store.maps.counts("campus").views["pending"] == 2
+    keep()
+    assert store.kept_queries.newest("campus", 5)[1] == 1
 
 
 def test_a_writer_that_falls_silent_is_passed_and_told(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,6 @@
 """Transactions: context managers for reading and writing."""
 
 import logging
-import sqlite3
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ T = TypeVar("T")
 
 log = logging.getLogger("revisit")
 
-TRUNCATE_PATIENCE_MS = 500
+TRUNCATE_PATIENCE_S = 0.5
 
 PROMPT_S = 1.0
 """Seconds within which a server that is starting, or that has failed over, refuses a connection: it is tried again."""
@@ -76,7 +75,9 @@ class Database:
             raise Damaged(DAMAGED.format("its definitions cannot be read")) from error
 
     @contextmanager
-    def writing(self, *, in_turn: bool = True, frees: bool = False) -> Iterator[sa.Connection]:
+    def writing(
+        self, *, in_turn: bool = True, frees: bool = False, patience_s: float | None = None
+    ) -> Iterator[sa.Connection]:
         """A transaction that is committed durably at the end of the block, or rolled back when the block raises.
 
         Parameters
@@ -85,6 +86,8 @@ class Database:
             Whether to exclude other writers; False only for writes without a new revision.
         frees : bool
             Whether it deletes, or replaces little: it may then use the last space of the disk.
+        patience_s : float or None
+            For which it waits for others that write; None: a minute.
 
         Raises
         ------
@@ -96,8 +99,8 @@ class Database:
         try:
             with self.open() as connection:
                 connection = dialect.for_writing(connection)
-                with connection.begin():
-                    dialect.begin_writing(connection, in_turn=in_turn)
+                with dialect.patient(connection, patience_s), connection.begin():
+                    dialect.begin_writing(connection, in_turn=in_turn, patience_s=patience_s)
                     sealing.begin(connection)
                     yield connection
                     sealing.seal(connection)
@@ -113,7 +116,8 @@ class Database:
                 problem = DiskFull(FULL.format("database"))
             if isinstance(error, sa.exc.DBAPIError) and dialect.is_read_only(error):
                 self.engine.dispose()  # another connection may find the server that takes writes, or that this one does
-            self.trouble = problem.detail
+            if patience_s is None or not dialect.is_busy(error):  # others that write for a moment are no trouble
+                self.trouble = problem.detail
             raise problem from error
 
     def freeing(self, work: Callable[[sa.Connection], T]) -> T:
@@ -145,13 +149,13 @@ class Database:
         if not dialect.is_file(self.engine):
             return
         try:
-            with self.engine.connect() as connection:
-                raw = connection.connection.cursor()
-                raw.execute(f"PRAGMA busy_timeout={TRUNCATE_PATIENCE_MS}")
+            with (
+                self.engine.connect() as connection,
+                dialect.patient(connection, TRUNCATE_PATIENCE_S),
+                dialect.raw_cursor(connection) as raw,
+            ):
                 raw.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-                raw.execute(f"PRAGMA busy_timeout={dialect.BUSY_S * 1000}")
-                raw.close()
-        except (sqlite3.Error, sa.exc.DBAPIError) as error:
+        except sa.exc.DBAPIError as error:
             log.debug("the journal keeps its size: %s", error)
 
     def close(self) -> None:

@@ -218,7 +218,25 @@ def for_writing(connection: sa.Connection) -> sa.Connection:
     return connection.execution_options(writes=True)
 
 
-def begin_writing(connection: sa.Connection, *, in_turn: bool) -> None:
+@contextmanager
+def patient(connection: sa.Connection, seconds: float | None) -> Iterator[None]:
+    """Have SQLite wait so long for others in the block, instead of `BUSY_S`; None, and PostgreSQL: as without it."""
+    if seconds is None or connection.dialect.name != "sqlite":
+        yield
+        return
+    _wait(connection, seconds)
+    try:
+        yield
+    finally:
+        _wait(connection, BUSY_S)
+
+
+def _wait(connection: sa.Connection, seconds: float) -> None:
+    with raw_cursor(connection) as cursor:
+        cursor.execute(f"PRAGMA busy_timeout={round(1000 * seconds)}")
+
+
+def begin_writing(connection: sa.Connection, *, in_turn: bool, patience_s: float | None = None) -> None:
     """Limit how long a transaction that writes may wait for others and keep others waiting, as its first statement.
 
     Without the second limit a process that is stopped in a transaction, or cut off, would hold up all others until the
@@ -231,14 +249,16 @@ def begin_writing(connection: sa.Connection, *, in_turn: bool) -> None:
     in_turn : bool
         Wait until no other transaction writes, as SQLite does by itself. Otherwise PostgreSQL could commit revisions
         out of order, and an index that reads the changes since its own would miss some.
+    patience_s : float or None
+        For which it may wait; None: `BUSY_S`. SQLite has begun already: see `patient`.
     """
     if connection.dialect.name != "postgresql":
         return
     turn = f"pg_advisory_xact_lock({WRITERS})" if in_turn else ""
-    connection.execute(bounded(SILENT_S, turn))
+    connection.execute(bounded(SILENT_S, turn, patience_s))
 
 
-def bounded(silent_s: float, lock: str = "") -> sa.Executable:
+def bounded(silent_s: float, lock: str = "", patience_s: float | None = None) -> sa.Executable:
     """A statement of PostgreSQL that bounds the waits of the transaction it is in, then takes a lock if one is given.
 
     Parameters
@@ -246,9 +266,12 @@ def bounded(silent_s: float, lock: str = "") -> sa.Executable:
     silent_s : float
         Seconds between statements after which the server ends the transaction.
     lock : str
-        A call of ``pg_advisory_xact_lock``. Its wait, as that for any lock later, ends after `BUSY_S`.
+        A call of ``pg_advisory_xact_lock``. Its wait, as that for any lock later, ends after `patience_s`.
+    patience_s : float or None
+        None: `BUSY_S`.
     """
-    limits = {"lock_timeout": BUSY_S, "idle_in_transaction_session_timeout": silent_s}
+    busy_s = BUSY_S if patience_s is None else patience_s
+    limits = {"lock_timeout": busy_s, "idle_in_transaction_session_timeout": silent_s}
     calls = [f"set_config('{name}', '{round(1000 * seconds)}', true)" for name, seconds in limits.items()]
     return sa.text(f"SELECT {', '.join(calls + [lock] * bool(lock))}")
 

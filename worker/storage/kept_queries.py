@@ -16,6 +16,9 @@ from worker.storage.part import Part
 from worker.storage.rows import blur_of, find_map, log
 from worker.storage.tables import KEPT_QUERIES, MAPS, VIEWS
 
+PATIENCE_S = 1.0
+"""Seconds that a query may wait for others that write, to be kept before it is answered."""
+
 
 def drop_oldest(
     connection: sa.Connection, map_id: int, keep: int, most: int | None = None, *, matched: bool | None = False
@@ -70,6 +73,11 @@ class KeptQueries(Part):
 
         `match`: the view that it matched, by its sequence number, and the score. Nothing is kept where the map keeps
         none of this kind or blurs other things than `blurred`, or where the map or the view was deleted.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+            It cannot be stored now, or others have been writing for `PATIENCE_S`.
         """
         features, seq = description.keypoints, None if match is None else match[0]
         values = {
@@ -82,7 +90,7 @@ class KeptQueries(Part):
             "seq": seq,
             "score": None if match is None else float(match[1]),
         }
-        with self._database.writing() as connection:
+        with self._database.writing(patience_s=PATIENCE_S) as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
             if row is None or not (most := row.keep_queries if seq is None else row.keep_matches):
                 return
