@@ -109,6 +109,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self._snapshots, self._imports, self._shadows = snapshots, imports, shadows
         self._changes = changes
         self._long = LongWork()
+        self._writes = LongWork(None, "revisit-writes")
         self._drawings = asyncio.Semaphore(DRAWN_AT_ONCE)
 
     # views
@@ -150,11 +151,11 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         """Replace the attributes of a view by `change` of them; the store does both in one transaction."""
-        return presenters.labelled_view(await asyncio.to_thread(self._views.change, view_id, change))
+        return presenters.labelled_view(await self._writes.run(self._views.change, view_id, change))
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
         """Remove a view."""
-        return snapshot_presenters.removal(await asyncio.to_thread(self._views.delete, view_id))
+        return snapshot_presenters.removal(await self._writes.run(self._views.delete, view_id))
 
     async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
         """Remove the views of a map that pass the filters."""
@@ -373,12 +374,12 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def begin_call(self, key: str, fingerprint: str) -> Replay | None:
         """Claim an Idempotency-Key; see `Calls.begin`."""
-        return await asyncio.to_thread(self._calls.begin, key, fingerprint, steady.now(), shared=True)
+        return await self._writes.run(self._calls.begin, key, fingerprint, steady.now(), shared=True)
 
     async def end_call(self, key: str, replay: Replay) -> None:
         """Remember the answer to a call; see `Calls.end`."""
-        await asyncio.to_thread(self._calls.end, key, replay, steady.now())
+        await self._writes.run(self._calls.end, key, replay, steady.now())
 
     async def abandon_call(self, key: str) -> None:
         """Forget a call that failed; see `Calls.abandon`."""
-        await asyncio.to_thread(self._calls.abandon, key)
+        await self._writes.run(self._calls.abandon, key)

@@ -1,6 +1,7 @@
 """Threads of their own for what may take seconds or minutes.
 
-Everything else shares asyncio's few: a handful of restorations in them would let every enrolment and every list wait.
+Everything else shares asyncio's few: a handful of restorations in them would let every list wait, and so would as many
+enrolments whose image store hangs, or that wait for others to write to the database.
 """
 
 import asyncio
@@ -18,10 +19,18 @@ AT_ONCE = 8
 
 
 class LongWork:
-    """Runs functions in these threads."""
+    """Runs functions in these threads.
 
-    def __init__(self) -> None:
-        self._threads = ThreadPoolExecutor(AT_ONCE, "revisit-long-work")
+    Parameters
+    ----------
+    at_once : int or None
+        None: as many as asyncio has.
+    name : str
+        Of the threads.
+    """
+
+    def __init__(self, at_once: int | None = AT_ONCE, name: str = "revisit-long-work") -> None:
+        self._threads = ThreadPoolExecutor(at_once, name)
 
     async def run(self, call: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """As `asyncio.to_thread`."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from app.http import enrolment_presenters, presenters
+from app.http.long_work import LongWork
 from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError, StorageFailed
@@ -51,6 +52,7 @@ class Recogniser:
         self._enroll, self._query = enroll, query
         self._settlements, self._wait_s, self._tell = settlements, wait_s, tell
         self._threads = ThreadPoolExecutor(queries + SEARCHING, "revisit-query")
+        self._storing = LongWork(None, "revisit-enroll")
 
     def drain(self) -> None:
         """Let enrolments that wait for their description answer as with ``wait=false``, now and from now on."""
@@ -99,7 +101,7 @@ class Recogniser:
         self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool | None, exif: bool
     ) -> Accepted | RevisitError:
         try:
-            return await asyncio.to_thread(
+            return await self._storing.run(
                 self._enroll.submit, data, map_name, attributes, waits=wait, refuse_poor=refuse_poor, exif=exif
             )
         except RevisitError as error:

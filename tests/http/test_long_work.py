@@ -8,6 +8,8 @@ from unittest.mock import Mock
 import pytest
 
 from app.http.curate import Curator
+from app.http.recognise import Recogniser
+from schemas.records import ViewAttributes
 
 PARTS = (
     *("views", "renderings", "maps", "jobs", "calibrations", "health", "inbox", "proposals", "snapshots", "calls"),
@@ -22,6 +24,8 @@ MANY = 50
     [
         ("health", "of", lambda curator: curator.health("campus", None, 5)),
         ("maps", "delete", lambda curator: curator.delete_map("campus")),
+        ("views", "delete", lambda curator: curator.delete_view("view")),
+        ("calls", "begin", lambda curator: curator.begin_call("key", "print")),
         ("snapshots", "restore", lambda curator: curator.restore(Mock(), None, Mock())),
         ("proposals", "of", lambda curator: curator.proposals("campus", 5)),
         ("changes", "between", lambda curator: curator.changes("one", "other")),
@@ -72,3 +76,23 @@ def test_other_long_work_is_done_while_many_wait_for_drawings(draw: Callable[[Cu
 
     assert asyncio.run(meanwhile()) == "done"
     assert parts["renderings"].graph.call_count + parts["renderings"].segmentation.call_count == MANY
+
+
+def test_a_list_is_given_while_many_enrolments_wait_for_the_store() -> None:
+    ends = threading.Event()
+    recogniser = Recogniser(Mock(submit=lambda *_, **__: ends.wait(30)), Mock(), Mock(), 1, 30.0)
+
+    async def meanwhile() -> str:
+        image = [(None, b"image")]
+        waiting = [
+            asyncio.ensure_future(recogniser.enroll(image, "campus", ViewAttributes(), False, refuse_poor=None))
+            for _ in range(MANY)
+        ]
+        await asyncio.sleep(0)
+        try:
+            return await asyncio.wait_for(asyncio.to_thread(lambda: "listed"), 10)
+        finally:
+            ends.set()
+            await asyncio.gather(*waiting, return_exceptions=True)
+
+    assert asyncio.run(meanwhile()) == "listed"
