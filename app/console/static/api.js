@@ -24,7 +24,10 @@ export const key = {
   },
 };
 
-export const service = new Revisit("", { key: key.get });
+/** fetch that sends a proxy's password too, as the browser was told it: the page itself came by it. */
+export const fetched = (path, options) => fetch(path, { ...options, credentials: "same-origin" });
+
+export const service = new Revisit("", { key: key.get, fetch: fetched });
 
 /**
  * Send a request and give its Response; raises Problem.

@@ -1,6 +1,6 @@
 // The service: whether it is well, what is loaded, its queue, its figures, and the problems of this tab.
 
-import { call, recentProblems, send, service } from "./api.js";
+import { call, fetched, recentProblems, send, service } from "./api.js";
 import { count, facts, h, problemBox, size } from "./dom.js";
 import { jobList } from "./jobs.js";
 
@@ -70,7 +70,7 @@ async function shown(element, make) {
 
 async function checks() {
   // 503 has the checks too
-  const response = await fetch("/readyz", { headers: service.headers(), credentials: "omit" });
+  const response = await fetched("/readyz", { headers: service.headers() });
   const { ready, checks: states, maps, age_s } = await response.json();
   const behind = Object.entries(maps).filter(([, one]) => one.state !== "ok");
   return h(

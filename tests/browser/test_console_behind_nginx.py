@@ -1,0 +1,26 @@
+"""The console behind the example configuration of nginx: its password, and its limit of requests."""
+
+from pathlib import Path
+
+import httpx
+
+from tests.browser.conftest import Open, Tab
+from tests.stories.running import RunningService
+from tests.stories.test_behind_nginx import PASSWORD, proxy
+
+
+def signed_in(opened: Open, client: httpx.Client, screen: str) -> Tab:
+    """A tab whose browser was told the proxy's password."""
+    name, word = PASSWORD
+    url = str(client.base_url).rstrip("/")
+    return opened(screen, url=url, http_credentials={"username": name, "password": word})
+
+
+def test_the_password_of_the_proxy_opens_every_screen(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    with proxy(tmp_path / "nginx", service.url) as client:
+        tab = signed_in(opened, client, "maps/town")
+        tab.page.get_by_label("View 1: mill lane").wait_for()
+        tab.page.wait_for_selector(".grid img[src^=blob]")
+        tab.show("service")
+        tab.page.get_by_text("Ready", exact=True).wait_for()
+        assert tab.page.get_by_role("dialog").count() == 0
