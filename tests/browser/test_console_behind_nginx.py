@@ -24,3 +24,11 @@ def test_the_password_of_the_proxy_opens_every_screen(opened: Open, service: Run
         tab.show("service")
         tab.page.get_by_text("Ready", exact=True).wait_for()
         assert tab.page.get_by_role("dialog").count() == 0
+
+
+def test_loading_the_page_again_and_again_is_not_refused(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    with proxy(tmp_path / "nginx", service.url, rate=10) as client:
+        tab = signed_in(opened, client, "maps")
+        for _ in range(3):
+            tab.page.reload()
+            tab.page.get_by_role("link", name="town", exact=True).wait_for()
