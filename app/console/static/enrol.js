@@ -223,10 +223,17 @@ export function enrolScreen() {
   }
 
   async function enrol(one, map) {
+    let form;
+    try {
+      form = formOf(one, map);
+    } catch (error) {
+      mark(one, "refused", refusal(error));
+      return;
+    }
     for (let tried = 1; ; tried += 1) {
       try {
         mark(one, "waiting", "sending …");
-        const { view, created, warnings } = await call("POST", "/enroll", { form: formOf(one, map) });
+        const { view, created, warnings } = await call("POST", "/enroll", { form });
         const came = created ? "enrolled" : "was there already";
         const { lat, lon } = view.position ?? {};
         const where = exif.box.checked && lat != null ? ` at ${lat.toFixed(6)}, ${lon.toFixed(6)}` : "";

@@ -1,0 +1,33 @@
+"""What is typed on Enrol, and what a table of positions says: neither takes the other's place unasked."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.browser.conftest import Open
+from tests.browser.test_console import views
+from tests.sample_images import photo as drawn_photo
+from tests.stories.running import RunningService
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> list[Path]:
+    """Three photos."""
+    paths = [tmp_path / f"{number}.jpg" for number in range(3)]
+    for number, path in enumerate(paths):
+        path.write_bytes(drawn_photo(700 + number))
+    return paths
+
+
+def test_a_position_that_cannot_be_read_is_told_at_once_and_the_others_are_enrolled(
+    opened: Open, service: RunningService, photos: list[Path]
+) -> None:
+    tab = opened("enrol")
+    tab.page.get_by_label("or a new map").fill("typed")
+    tab.page.get_by_label("Choose photos").set_input_files(photos)
+    tab.page.get_by_label("Position of 1.jpg").fill("12")
+    tab.page.get_by_role("button", name="Enrol 3 photos").click()
+    tab.page.locator("main").get_by_text("3 of 3 photos done, 1 refused.").wait_for()
+    [refused] = tab.page.locator(".files .refused").all_inner_texts()
+    assert refused == "Position: two numbers are needed and perhaps a heading, as in 12.5, 3.0, 90; not 12"
+    assert len(views(service, "typed")) == 2
