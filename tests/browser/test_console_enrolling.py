@@ -31,3 +31,36 @@ def test_a_position_that_cannot_be_read_is_told_at_once_and_the_others_are_enrol
     [refused] = tab.page.locator(".files .refused").all_inner_texts()
     assert refused == "Position: two numbers are needed and perhaps a heading, as in 12.5, 3.0, 90; not 12"
     assert len(views(service, "typed")) == 2
+
+
+def test_photos_that_come_later_leave_what_was_typed_since_the_table(
+    opened: Open, photos: list[Path], tmp_path: Path
+) -> None:
+    table = tmp_path / "positions.csv"
+    table.write_text("file,place,x,y\n0.jpg,cellar,1,2\n1.jpg,attic,3,4\n2.jpg,yard,5,6\n")
+    tab = opened("enrol")
+    tab.page.get_by_label("Choose photos").set_input_files([*photos[:2]])
+    tab.page.get_by_label("Positions (CSV)").set_input_files(table)
+    tab.page.get_by_text("The CSV file has 3 rows; 2 of 2 photos have one.").wait_for()
+    tab.page.get_by_label("Place of 0.jpg").fill("wine cellar")
+    tab.page.get_by_label("Position of 0.jpg").fill("1.5, 2.5")
+
+    tab.page.get_by_label("Choose photos").set_input_files(photos[2])
+    tab.page.get_by_text("The CSV file has 3 rows; 1 of 1 photo have one.").wait_for()
+    assert tab.page.get_by_label("Place of 2.jpg").input_value() == "yard"
+    assert tab.page.get_by_label("Place of 0.jpg").input_value() == "wine cellar"
+    assert tab.page.get_by_label("Position of 0.jpg").input_value() == "1.5, 2.5"
+
+
+def test_a_cleared_list_forgets_its_table(opened: Open, photos: list[Path], tmp_path: Path) -> None:
+    table = tmp_path / "positions.csv"
+    table.write_text("file,place\n0.jpg,cellar\n")
+    tab = opened("enrol")
+    tab.page.get_by_label("Choose photos").set_input_files(photos[0])
+    tab.page.get_by_label("Positions (CSV)").set_input_files(table)
+    tab.page.get_by_text("1 of 1 photo have one.").wait_for()
+    tab.page.get_by_role("button", name="Clear the list").click()
+    assert tab.page.get_by_text("The CSV file has").count() == 0
+
+    tab.page.get_by_label("Choose photos").set_input_files(photos[0])
+    assert tab.page.get_by_label("Place of 0.jpg").input_value() == ""

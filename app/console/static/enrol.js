@@ -57,6 +57,8 @@ export function enrolScreen() {
       type: "button",
       onclick: () => {
         entries = [];
+        positions = null;
+        told.replaceChildren();
         redraw();
       },
     },
@@ -117,25 +119,29 @@ export function enrolScreen() {
             .join(", ")}${skipped.length > 5 ? " and others" : ""}.`,
         ),
       );
+    let read = false;
     for (const table of tables) {
       reading += 1;
       redraw();
       try {
         positions = positionsOf(await table.text());
+        read = true;
       } catch (error) {
         told.append(problemBox({ title: table.name, detail: error.message }));
       }
       reading -= 1;
     }
-    entries.push(...images.map((file) => entry(file)));
-    if (positions) {
-      const fitted = entries.filter((one) => one.state !== "done" && fill(one, attributesOf(positions, one.path)));
+    const added = images.map((file) => entry(file));
+    entries.push(...added);
+    const meant = read ? entries : added; // an earlier table does not undo what was typed since
+    if (positions && (read || added.length)) {
+      const fitted = meant.filter((one) => one.state !== "done" && fill(one, attributesOf(positions, one.path)));
       told.append(
         h(
           "p",
           {},
           `The CSV file has ${count(positions.size, "row")}; `,
-          `${fitted.length} of ${count(entries.length, "photo")} have one.`,
+          `${fitted.length} of ${count(meant.length, "photo")} have one.`,
         ),
       );
     }
