@@ -283,3 +283,21 @@ def test_a_long_name_makes_no_screen_wider_than_a_small_phone(
     tab.page.get_by_role("button", name="Close").click()
     tab.page.get_by_role("button", name="Delete this map …").click()
     assert not tab.page.get_by_role("dialog").evaluate(wide)
+
+
+def test_a_service_that_is_away_is_told_from_a_fault_of_the_console(opened: Open) -> None:
+    tab = opened("service")
+    checks = tab.page.locator("section").filter(has=tab.page.get_by_role("heading", name="Is it well?"))
+    checks.get_by_text("Ready", exact=True).wait_for()
+    tab.page.route("**/readyz", lambda route: route.abort())
+    checks.get_by_text("No answer: the service cannot be reached; is it running?").wait_for()
+    tab.page.unroute("**/readyz")
+    tab.page.route("**/readyz", lambda route: route.fulfill(status=502, body="<h1>Bad Gateway</h1>"))
+    checks.get_by_text("Status 502: the answer was no problem+json; is there a proxy between?").wait_for()
+    tab.page.unroute("**/readyz")
+    refused = BUSY | {"title": "The service cannot do this now", "status": 503}
+    tab.page.route("**/readyz", lambda route: route.fulfill(status=503, json=refused))
+    checks.get_by_text("The service cannot do this now: try again").wait_for()
+    tab.page.unroute("**/readyz")
+    checks.get_by_text("Ready", exact=True).wait_for()
+    tab.complaints.clear()  # of what was refused

@@ -1,6 +1,6 @@
 // The service: whether it is well, what is loaded, its queue, its figures, and the problems of this tab.
 
-import { call, fetched, recentProblems, send, service } from "./api.js";
+import { Problem, call, fetched, recentProblems, send, service } from "./api.js";
 import { count, facts, h, problemBox, size } from "./dom.js";
 import { jobList } from "./jobs.js";
 
@@ -68,10 +68,21 @@ async function shown(element, make) {
   }
 }
 
+/** What the service says of itself, which has all parts with a 503 too; raises Problem for any other answer. */
+async function readiness() {
+  const response = await fetched("/readyz", { headers: service.headers() }).catch(() => {
+    throw Problem.silence();
+  });
+  const told = await response
+    .clone()
+    .json()
+    .catch(() => null);
+  if (!told?.checks) throw await Problem.of(response);
+  return told;
+}
+
 async function checks() {
-  // 503 has the checks too
-  const response = await fetched("/readyz", { headers: service.headers() });
-  const { ready, checks: states, maps, age_s } = await response.json();
+  const { ready, checks: states, maps, age_s } = await readiness();
   const behind = Object.entries(maps).filter(([, one]) => one.state !== "ok");
   return h(
     "div",
