@@ -301,3 +301,16 @@ def test_a_service_that_is_away_is_told_from_a_fault_of_the_console(opened: Open
     tab.page.unroute("**/readyz")
     checks.get_by_text("Ready", exact=True).wait_for()
     tab.complaints.clear()  # of what was refused
+
+
+def test_back_leaves_an_open_view_and_the_dialog_before_deleting_it(opened: Open, service: RunningService) -> None:
+    enrolled(service, "behind", range(560, 561), place="porch")
+    tab = opened("maps")
+    tab.page.get_by_role("link", name="behind", exact=True).click()
+    tab.page.get_by_label("View 1: porch").click()
+    tab.page.get_by_role("button", name="Delete this view").click()
+    tab.page.get_by_role("heading", name="Delete this view?").wait_for()
+    tab.page.go_back()
+    tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
+    tab.awaits("dialog", 0)
+    assert len(views(service, "behind")) == 1

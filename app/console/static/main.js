@@ -173,6 +173,8 @@ window.addEventListener("key", links);
 links();
 window.addEventListener("unauthorized", (event) => signIn(event.detail));
 window.addEventListener("hashchange", () => {
+  // "Back" leaves a dialog with the screen that it was opened from; the one for a key is of every screen.
+  for (const dialog of document.querySelectorAll("dialog[open]:not(#sign-in)")) dialog.close();
   shown();
   window.scrollTo(0, 0);
 });
