@@ -123,3 +123,13 @@ def test_both_units_run_commands_that_there_are_and_differ_in_nothing_else() -> 
     kept = [[line for line in unit.splitlines() if line.partition("=")[0] not in own | {""} and line[0] != "#"]
             for unit in (serve, work)]  # fmt: skip
     assert kept[0] == kept[1]
+
+
+def test_neither_unit_waits_for_the_other() -> None:
+    """A node counts as started once a worker is alive: one that waited for the node would keep both from starting."""
+    units = {"revisit.service", "revisit-worker.service"}
+    for name in units:
+        unit = (ROOT / "deploy" / name).read_text().splitlines()
+        orders = [line for line in unit if line.startswith(("After=", "Before=", "Requires=", "Wants=", "BindsTo="))]
+        assert orders
+        assert not units & set(" ".join(orders).replace("=", " ").split())
