@@ -64,3 +64,16 @@ def test_a_cleared_list_forgets_its_table(opened: Open, photos: list[Path], tmp_
 
     tab.page.get_by_label("Choose photos").set_input_files(photos[0])
     assert tab.page.get_by_label("Place of 0.jpg").input_value() == ""
+
+
+@pytest.mark.parametrize(
+    ("screen", "label"), [("enrol", "or a new map"), ("maps", "Name"), ("snapshots", "Under another name")]
+)
+def test_a_name_that_no_map_can_have_is_refused_with_what_it_may_be(opened: Open, screen: str, label: str) -> None:
+    tab = opened(screen)
+    for details in tab.page.locator("main details").all():
+        details.evaluate("details => (details.open = true)")
+    name = tab.page.get_by_label(label, exact=True)
+    name.fill("my house")
+    assert name.evaluate("input => input.validity.patternMismatch")
+    assert "no spaces" in (name.get_attribute("title") or "")

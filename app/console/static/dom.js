@@ -26,6 +26,13 @@ function filled(element, attributes, children) {
   return element;
 }
 
+/** What an input for the name of a map takes; browsers say the title with their refusal of any other text. */
+export const MAP_NAME = {
+  pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}",
+  title: "Letters, digits, dots, hyphens and underscores, no spaces; a letter or a digit first, 64 at most",
+  spellcheck: "false",
+};
+
 let fields = 0;
 
 /** A control with its label above it. */

@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
-import { announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
+import { MAP_NAME, announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
 import { FRAMES, typedPosition } from "./positions.js";
 import { RECORDINGS, recording } from "./recording.js";
@@ -36,8 +36,7 @@ export function enrolScreen() {
   const other = h("input", {
     onchange: () => onPlan.draw(),
     placeholder: "a new one",
-    pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}",
-    spellcheck: "false",
+    ...MAP_NAME,
   });
   const place = h("input", { maxlength: 200, placeholder: "for all without one" });
   const frame = h(

@@ -1,13 +1,13 @@
 // Maps: all of them, and new ones.
 
 import { call } from "./api.js";
-import { field, h, problemBox, size, table } from "./dom.js";
+import { MAP_NAME, field, h, problemBox, size, table } from "./dom.js";
 
 export function mapsScreen() {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Maps" });
   const told = h("div");
   const inputs = {
-    name: h("input", { required: true, pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}", spellcheck: "false" }),
+    name: h("input", { required: true, ...MAP_NAME }),
     preset: h("input", { placeholder: "default", spellcheck: "false" }),
     labels: h("input", { placeholder: "building, tree, road, car" }),
     dynamic: h("input", { placeholder: "car" }),

@@ -2,7 +2,7 @@
 
 import { address, call, key, send, upload } from "./api.js";
 import { mapSelect } from "./choice.js";
-import { announce, confirmed, count, field, h, moment, picker, problemBox, size, table } from "./dom.js";
+import { MAP_NAME, announce, confirmed, count, field, h, moment, picker, problemBox, size, table } from "./dom.js";
 import { followed } from "./jobs.js";
 
 export function snapshotsScreen() {
@@ -143,11 +143,7 @@ function restoring(maps) {
   const told = h("div", { class: "told" });
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Sent of the file", hidden: true });
   const chosen = h("p", { class: "quiet" }, "No file is chosen.");
-  const as = h("input", {
-    pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}",
-    spellcheck: "false",
-    placeholder: "as it was",
-  });
+  const as = h("input", { placeholder: "as it was", ...MAP_NAME });
   const button = h("button", { type: "submit", class: "first", disabled: true }, "Restore");
   const pick = picker("Choose a snapshot file", {}, ([one]) => {
     file = one ?? null;
