@@ -314,3 +314,18 @@ def test_back_leaves_an_open_view_and_the_dialog_before_deleting_it(opened: Open
     tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
     tab.awaits("dialog", 0)
     assert len(views(service, "behind")) == 1
+
+
+def test_what_is_refused_each_time_it_is_looked_at_is_told_once(opened: Open) -> None:
+    tab, refused = opened("service", refusals=True), []
+
+    def refuse(route: "Route") -> None:
+        refused.append(route.request.url)
+        problem = BUSY | {"title": "The key does not allow this", "status": 403, "request_id": f"r{len(refused)}"}
+        route.fulfill(status=403, json=problem, content_type="application/problem+json")
+
+    tab.page.route("**/metrics", refuse)
+    tab.page.get_by_text("request r3").last.wait_for()
+    listed = tab.page.locator("li").filter(has_text="GET /metrics")
+    assert listed.count() == 1
+    assert len(refused) >= 3

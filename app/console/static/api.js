@@ -111,6 +111,11 @@ export function pages(path, query, options = {}) {
 
 function remembered(method, path, problem, quiet = false) {
   if (problem.status === 401 && !quiet) window.dispatchEvent(new CustomEvent("unauthorized", { detail: problem }));
+  // What is looked at again and again, such as /metrics, would leave no room for anything else.
+  const again = recentProblems.findIndex(
+    (one) => method === "GET" && one.method === method && one.path === path && one.problem.code === problem.code,
+  );
+  if (again >= 0) recentProblems.splice(again, 1);
   recentProblems.unshift({ at: new Date(), method, path, problem });
   recentProblems.length = Math.min(recentProblems.length, RECENT);
   return problem;
