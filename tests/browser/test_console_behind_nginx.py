@@ -32,3 +32,12 @@ def test_loading_the_page_again_and_again_is_not_refused(opened: Open, service: 
         for _ in range(3):
             tab.page.reload()
             tab.page.get_by_role("link", name="town", exact=True).wait_for()
+
+
+def test_an_address_with_the_password_in_it_opens_the_console(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    with proxy(tmp_path / "nginx", service.url) as client:
+        tab = opened("maps", url=str(client.base_url.copy_with(username=PASSWORD[0], password=PASSWORD[1])).rstrip("/"))
+        tab.page.get_by_role("link", name="town", exact=True).wait_for()
+        tab.complaints.clear()  # the address without the password is another host to this test

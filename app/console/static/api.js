@@ -24,8 +24,11 @@ export const key = {
   },
 };
 
-/** fetch that sends a proxy's password too, as the browser was told it: the page itself came by it. */
-export const fetched = (path, options) => fetch(path, { ...options, credentials: "same-origin" });
+/**
+ * fetch that sends a proxy's password too, as the browser was told it: the page itself came by it. Of an address with a
+ * password in it (name:password@host) fetch refuses all that is relative to it.
+ */
+export const fetched = (path, options) => fetch(location.origin + path, { ...options, credentials: "same-origin" });
 
 export const service = new Revisit("", { key: key.get, fetch: fetched });
 
