@@ -14,6 +14,7 @@ _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1c2330}
 h1,h2{line-height:1.2}table{border-collapse:collapse;width:100%;margin:.5rem 0}
 td,th{text-align:left;vertical-align:top;padding:.2rem .6rem .2rem 0;border-bottom:1px solid #dde2ea}
+td,p,summary{overflow-wrap:anywhere}
 code,pre{font:13px/1.45 ui-monospace,monospace;background:#f3f5f8;border-radius:4px}
 code{padding:.1rem .3rem}pre{padding:.7rem;overflow:auto}
 details{border:1px solid #dde2ea;border-radius:6px;padding:.4rem .8rem;margin:.5rem 0}summary{cursor:pointer}

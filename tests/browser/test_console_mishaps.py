@@ -329,3 +329,11 @@ def test_what_is_refused_each_time_it_is_looked_at_is_told_once(opened: Open) ->
     listed = tab.page.locator("li").filter(has_text="GET /metrics")
     assert listed.count() == 1
     assert len(refused) >= 3
+
+
+def test_the_documentation_of_the_api_is_no_wider_than_a_small_phone(opened: Open) -> None:
+    tab = opened("ask", size={"width": 320, "height": 640}, refusals=True)  # of the icon, which that page has none of
+    tab.page.goto(f"{tab.url}/docs")
+    for details in tab.page.locator("details").all():
+        details.evaluate("details => (details.open = true)")
+    assert not tab.is_wider_than_the_window()
