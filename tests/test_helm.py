@@ -213,3 +213,13 @@ def test_the_chart_is_of_this_version() -> None:
     chart = yaml.safe_load((CHART / "Chart.yaml").read_text())
 
     assert (chart["version"], chart["appVersion"]) == (VERSION, VERSION)
+
+
+@pytest.mark.parametrize("name", ["one behind an ingress", "fleet"])
+def test_an_ingress_takes_the_largest_body_and_waits_for_its_answer(name: str) -> None:
+    (ingress,) = of_kind("Ingress", EXAMPLES[name])
+    prefix = "nginx.ingress.kubernetes.io/proxy-"
+    given = {key.removeprefix(prefix): value for key, value in ingress["metadata"]["annotations"].items()}
+    assert given["body-size"] == f"{read_settings({}).max_import_mb:.0f}m"
+    assert given["request-buffering"] == "off"
+    assert int(given["read-timeout"]) > read_settings({}).wait
