@@ -113,14 +113,19 @@ class Load:
         self.map, self.chance = f"soak-{number}", np.random.default_rng([seed, number])
         self.counts: Counter[str] = Counter()
         self.violation: str | None = None
+        self.is_full = threading.Event()
         self._views: list[str] = []
         self._images = number * 10_000_000
 
     def work(self, url: str, until: threading.Event) -> None:
-        """Call until `until` is set or an answer is wrong."""
+        """Enrol and delete until there are enough views, then call until `until` is set or an answer is wrong."""
         kinds = [self._turn_over, self._query, self._refused, self._draw, self._break_off, self._read]
         try:
             with client(url) as calls:
+                while len(self._views) < VIEWS and not until.is_set():
+                    self._turn_over(calls)
+                self._turn_over(calls)
+                self.is_full.set()
                 while not until.is_set():
                     kind = kinds[int(self.chance.choice(len(kinds), p=[0.3, 0.25, 0.15, 0.05, 0.15, 0.1]))]
                     kind(calls)
@@ -198,6 +203,9 @@ def soak(served: LiveService, minutes: float, seed: int, counts: Counter[str]) -
     threads = [threading.Thread(target=load.work, args=(served.running.url, until)) for load in loads]
     for thread in threads:
         thread.start()
+    for load in loads:  # until then the number of views grows, and threads that delete are still made
+        while not (load.is_full.wait(EVERY_S) or until.is_set()):
+            pass
     process, progress = psutil.Process(served.running.pid), Progress("soak", every_s=60)
     began = time.monotonic()
     seconds: list[float] = []

@@ -1,6 +1,7 @@
 """What is typed on Enrol, and what a table of positions says: neither takes the other's place unasked."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -8,6 +9,9 @@ from tests.browser.conftest import Open
 from tests.browser.test_console import views
 from tests.sample_images import photo as drawn_photo
 from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Route
 
 
 @pytest.fixture
@@ -64,6 +68,27 @@ def test_a_cleared_list_forgets_its_table(opened: Open, photos: list[Path], tmp_
 
     tab.page.get_by_label("Choose photos").set_input_files(photos[0])
     assert tab.page.get_by_label("Place of 0.jpg").input_value() == ""
+
+
+ASKS = "() => !window.dispatchEvent(new Event('beforeunload', { cancelable: true }))"
+"""Whether the browser asks before the tab is closed."""
+
+
+def test_a_tab_that_enrols_is_not_closed_without_a_word(opened: Open, photos: list[Path]) -> None:
+    held: list[Route] = []
+    tab = opened("enrol")
+    tab.page.route("**/enroll", lambda route: held.append(route))
+    tab.page.get_by_label("or a new map").fill("closing")
+    tab.page.get_by_label("Choose photos").set_input_files(photos[0])
+    assert not tab.page.evaluate(ASKS)
+    tab.page.get_by_role("button", name="Enrol 1 photo").click()
+    tab.page.get_by_text("sending …").wait_for()
+    assert tab.page.evaluate(ASKS)
+    while not held:
+        tab.page.wait_for_timeout(20)
+    held[0].continue_()
+    tab.page.locator("main").get_by_text("1 of 1 photo done.").wait_for()
+    assert not tab.page.evaluate(ASKS)
 
 
 @pytest.mark.parametrize(

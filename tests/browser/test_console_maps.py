@@ -144,6 +144,14 @@ def test_a_place_that_ages_is_shown_with_the_photo_that_would_refresh_it(opened:
     tab.page.get_by_role("heading", name="No place in another light").wait_for()
 
 
+def test_health_of_an_empty_map_has_no_fact_without_a_value(opened: Open, service: RunningService) -> None:
+    httpx.put(f"{service.url}/maps/empty").raise_for_status()
+    tab = opened("maps/empty/health")
+    tab.page.get_by_text("Views examined").wait_for()
+    assert "" not in tab.page.locator("main dd").all_inner_texts()
+    httpx.delete(f"{service.url}/maps/empty").raise_for_status()
+
+
 def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open) -> None:
     tab = opened("maps/moon/health", refusals=True)
     assert "there is no map 'moon'" in tab.page.get_by_role("alert").inner_text()

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import httpx
+import pytest
 
 from app.http.examples import VIEW
 from tests.browser.conftest import PLACES, Open, Tab
@@ -337,3 +338,21 @@ def test_the_documentation_of_the_api_is_no_wider_than_a_small_phone(opened: Ope
     for details in tab.page.locator("details").all():
         details.evaluate("details => (details.open = true)")
     assert not tab.is_wider_than_the_window()
+
+
+@pytest.mark.parametrize("part", ["health", "inbox"])
+def test_a_screen_that_was_left_before_its_answer_came_chooses_no_map(opened: Open, part: str) -> None:
+    held: list[Route] = []
+    tab = opened("maps")
+    before = tab.page.evaluate("sessionStorage.getItem('revisit-map')")
+    last = {"health": "**/maps/town/health*", "inbox": "**/maps/town/proposals*"}[part]
+    tab.page.route(last, lambda route: held.append(route))
+    tab.page.evaluate(f"location.hash = '#maps/town/{part}'")
+    while not held:
+        tab.page.wait_for_timeout(20)
+    tab.page.evaluate("location.hash = '#service'")
+    tab.page.locator('main[data-screen="service"]').wait_for()
+    with tab.page.expect_response(last):
+        held[0].continue_()
+    tab.page.wait_for_timeout(100)
+    assert tab.page.evaluate("sessionStorage.getItem('revisit-map')") == before

@@ -9,7 +9,7 @@ import pytest
 import sqlalchemy as sa
 
 from scenes import scene
-from schemas.errors import StorageFailed
+from schemas.errors import NotFound, StorageFailed
 from schemas.records import Filters, ViewAttributes
 from tests.stories.photos import photo
 from tests.stories.running import settings
@@ -77,6 +77,21 @@ def test_a_view_that_cannot_be_read_for_a_moment_is_compared_later(
             runtime.comparer.all()
     runtime.comparer.all()
     assert runtime.store.comparisons.levels("town").compared == 3
+
+
+def test_a_map_that_is_deleted_while_it_is_compared_is_no_error(
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    enroll(runtime, "town")
+
+    def late(*_: Any) -> Any:  # as an index in the database, of which nothing is left
+        runtime.services.maps.delete("town")
+        raise NotFound("map", "town")
+
+    monkeypatch.setattr(runtime.comparer._catalogue, "camera_fixed", late)
+    with caplog.at_level(logging.ERROR):
+        runtime.comparer.all()
+    assert caplog.text == ""
 
 
 def test_views_that_are_being_compared_when_the_ranking_changes_are_compared_by_the_new_one(

@@ -10,7 +10,7 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
-from schemas.records import Filters
+from schemas.records import Filters, ViewAttributes
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
@@ -219,3 +219,21 @@ def test_a_drive_finds_its_place_behind_the_views_that_an_image_has_already(
         assert answers[0] == answers[1]
         assert len(answers[2][-1]) == 1
     assert max(looked_up, default=0) > 1
+
+
+def test_images_under_way_together_count_whichever_is_answered_first(client: CheckedClient, runtime: Runtime) -> None:
+    """The map grew between them, and the one that was searched after that is answered before the other."""
+    drives = Drives(runtime.services.searcher.further)
+    searched = []
+    for ahead in STREET[:2]:
+        taken = photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead, turn=14))
+        runtime.services.enroll.enroll(taken, "grows", ViewAttributes(place=f"{ahead:g}"), patience_s=60)
+        searched.append(runtime.services.query.query(taken, "grows", keep=False))
+    first, second = (one.results for one in searched)
+    assert first.first_map.revision < second.first_map.revision
+
+    counted = []
+    for results in (second, first):
+        alone = decide(results.ranking, results.levels, results.calibration, 0.5, searched=results.searched)
+        counted.append(drives.follow(("grows", "robot"), 60, results, alone)[2].images)
+    assert counted == [1, 2]

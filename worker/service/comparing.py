@@ -160,6 +160,8 @@ class MapComparer:
             return self._compare(seq, index, recipe, config, among)
         except STORAGE_ERRORS:
             raise
+        except NotFound:  # the map has just been deleted
+            return None
         except Exception:
             log.exception("the view with the sequence number %d could not be compared with its map", seq)
             return Comparison(seq, None, None, (), among, 0)

@@ -77,7 +77,6 @@ class _Kept:
     before: _Path
     after: _Path
     recipe: str
-    revision: int
     at: float
 
 
@@ -141,14 +140,12 @@ class Drives:
         recipe, now = results.recipe.description.id, self._now()
         with self._lock:
             kept = self._kept.pop(key, None)
-            fits = kept is not None and kept.recipe == recipe and kept.revision <= results.first_map.revision
-            known = kept is not None and fits and now - kept.at <= timeout_s
             before = _Path(Drive(), Row())
-            if kept is not None and known:
+            if kept is not None and kept.recipe == recipe and now - kept.at <= timeout_s:
                 before = kept.before if call is not None and call == kept.call else kept.after
             drive, together = follow(before.drive, single)
             row = before.row.followed_by(int(results.ranking.order[0]) if decision.status == "matched" else None)
-            self._kept[key] = _Kept(call, before, _Path(drive, row), recipe, results.first_map.revision, now)
+            self._kept[key] = _Kept(call, before, _Path(drive, row), recipe, now)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         probability = dict(zip(single.seqs.tolist(), together.tolist(), strict=True))

@@ -147,6 +147,17 @@ export function facts(rows) {
   );
 }
 
+/** What `work` gives; until then the browser asks before the tab is closed or left. */
+export async function staying(work) {
+  const ask = (event) => event.preventDefault();
+  window.addEventListener("beforeunload", ask);
+  try {
+    return await work();
+  } finally {
+    window.removeEventListener("beforeunload", ask);
+  }
+}
+
 /** Details whose content is made when they are opened first. */
 export function folded(title, make) {
   const body = h("div");

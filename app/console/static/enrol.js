@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
-import { MAP_NAME, announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
+import { MAP_NAME, announce, checkbox, count, field, h, picker, problemBox, staying, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
 import { FRAMES, typedPosition } from "./positions.js";
 import { RECORDINGS, recording } from "./recording.js";
@@ -279,15 +279,14 @@ export function enrolScreen() {
     };
     tell();
     try {
-      await Promise.all(
-        Array.from({ length: AT_ONCE }, async () => {
-          for (let one = queue.shift(); one; one = queue.shift()) {
-            await enrol(one, map);
-            finished += 1;
-            tell();
-          }
-        }),
-      );
+      const enrolling = async () => {
+        for (let one = queue.shift(); one; one = queue.shift()) {
+          await enrol(one, map);
+          finished += 1;
+          tell();
+        }
+      };
+      await staying(() => Promise.all(Array.from({ length: AT_ONCE }, enrolling)));
       announce(summary.textContent);
     } catch (error) {
       queue.length = 0;

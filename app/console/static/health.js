@@ -39,6 +39,7 @@ export function healthScreen(name) {
         call("GET", `${path}/health`, { query: { limit: AT_FIRST } }),
       ]);
       map = about;
+      if (!shown.isConnected) return; // another screen is shown by now
       chooseMap(name);
       const found = KINDS.filter(([code]) => health.counts[code] > 0);
       const groups = new Map(found.map((kind) => [kind[0], group(kind, health)]));
@@ -72,7 +73,7 @@ export function healthScreen(name) {
       h("ul", { class: "chips" }, chips),
       facts([
         ["Views examined", `${health.examined.toLocaleString("en-GB")} of ${health.views.toLocaleString("en-GB")}`],
-        ["Compared with the map", health.examined > 0 && compared],
+        ["Compared with the map", health.examined > 0 ? compared : null],
         ["Revision", health.revision],
       ]),
     );

@@ -25,6 +25,7 @@ export function inboxScreen(name) {
         call("GET", `${path}/unknown`, { query: { limit } }),
         call("GET", `${path}/proposals`, { query: { limit: MOST } }),
       ]);
+      if (!shown.isConnected) return; // another screen is shown by now
       chooseMap(name);
       shown.replaceChildren(spots(map, inbox), kept(inbox), ...proposalSections(path, proposals, tell));
     } catch (error) {

@@ -93,6 +93,8 @@ export function mapScreen(name) {
     );
     const picture = plan([], { picked: (point) => open(point.view) });
     const planned = h("section", { class: "panel", hidden: !map.extent }, h("h2", {}, "Plan"), picture.element);
+    if (total > MOST_ON_PLAN)
+      planned.append(h("p", { class: "quiet" }, `It shows the first ${MOST_ON_PLAN.toLocaleString("en-GB")} views.`));
     const open = (view) =>
       openView(view, map, async () => {
         announce("done");

@@ -1,7 +1,7 @@
 // A recording: a zip archive of images, or a video, enrolled as one job; its progress, and what was wrong with it.
 
 import { call, upload } from "./api.js";
-import { announce, confirmed, count, facts, field, h, picker, problemBox, size, table } from "./dom.js";
+import { announce, confirmed, count, facts, field, h, picker, problemBox, size, staying, table } from "./dom.js";
 import { followed } from "./jobs.js";
 
 const UNFOLDED = 20; // errors of a kind that are shown at once
@@ -43,11 +43,12 @@ export function recording(map, changed) {
     try {
       const step = every.value.trim() && `?every=${encodeURIComponent(every.value.trim())}`;
       const path = `/maps/${encodeURIComponent(name)}/imports${step}`;
-      job = await upload(path, file, "application/octet-stream", (share) => {
+      const sent = (share) => {
         bar.max = 1;
         bar.value = share;
         said.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
-      });
+      };
+      job = await staying(() => upload(path, file, "application/octet-stream", sent));
       stop.hidden = false;
       job = await followed(job, show);
       said.textContent = { done: "Done", cancelled: "Cancelled; what was enrolled stays", failed: "Failed" }[job.state];
