@@ -240,13 +240,14 @@ def test_a_place_in_another_light_is_taken_as_a_view_of_it(opened: Open, service
 def test_another_recipe_is_tried_in_the_shadow_and_switched_to(opened: Open, service: RunningService) -> None:
     for place in ("mill lane", "rose garden", "castle park"):
         enrolled(service, "shade", seen(place), place=place)
-    httpx.patch(f"{service.url}/maps/shade", json={"keep_queries": 5}, timeout=60)
+    httpx.patch(f"{service.url}/maps/shade", json={"keep_queries": 5, "ranking": {"candidates": 7}}, timeout=60)
     for place in ("river meadow", "harbour"):
         httpx.post(f"{service.url}/query", data={"map": "shade"}, files={"image": seen(place)}, timeout=60)
     tab = opened("maps/shade", bypass_csp=True)
     tab.page.get_by_role("link", name="Recipe").click()
     tab.page.get_by_label("Those that move").fill("car, tree")
     tab.page.get_by_label("Queries to compare").fill("5")
+    tab.page.get_by_label("Parameters and ranking as the preset has them now").check()
     check(tab, "a recipe")
 
     tab.page.get_by_role("button", name="Try it in the shadow").press("Enter")
@@ -263,7 +264,8 @@ def test_another_recipe_is_tried_in_the_shadow_and_switched_to(opened: Open, ser
     tab.page.get_by_role("button", name="Cancel").click()
     tab.page.get_by_role("button", name="Change over to it").press("Enter")
     tab.page.locator("main").get_by_text("The map has changed over.").wait_for()
-    assert httpx.get(f"{service.url}/maps/shade").json()["recipe"]["dynamic"] == ["car", "tree"]
+    now = httpx.get(f"{service.url}/maps/shade").json()
+    assert (now["recipe"]["dynamic"], now["ranking"]["candidates"]) == (["car", "tree"], 50)
     tab.page.get_by_role("heading", name="Describe all views anew").wait_for()
 
 

@@ -2,7 +2,7 @@
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
-import { announce, confirmed, count, decimals, facts, field, h, percent, problemBox, table } from "./dom.js";
+import { announce, checkbox, confirmed, count, decimals, facts, field, h, percent, problemBox, table } from "./dom.js";
 import { image } from "./images.js";
 import { followed } from "./jobs.js";
 import { mapHead } from "./parts.js";
@@ -48,6 +48,7 @@ export function recipeScreen(name) {
       dynamic: h("input", { value: map.recipe.dynamic.join(", ") }),
       preset: h("input", { value: map.ranking.preset, spellcheck: "false", required: true }),
     };
+    const renewed = checkbox("Parameters and ranking as the preset has them now, none of the map's own");
     const queries = h("input", { type: "number", min: 1, max: MOST_QUERIES, required: true, value: String(QUERIES) });
 
     async function begun(shadow) {
@@ -58,7 +59,7 @@ export function recipeScreen(name) {
           .filter(Boolean);
       const wanted = { labels: list(inputs.labels), dynamic: list(inputs.dynamic) };
       const preset = inputs.preset.value.trim();
-      if (preset !== map.ranking.preset) wanted.preset = preset; // the same one keeps parameters of the map's own
+      if (preset !== map.ranking.preset || renewed.box.checked) wanted.preset = preset;
       if (shadow) wanted.shadow = Number(queries.value);
       try {
         const job = await call("POST", `${path}/recipe`, { json: wanted });
@@ -96,6 +97,7 @@ export function recipeScreen(name) {
           field("Preset", inputs.preset),
           field("Queries to compare", queries),
         ),
+        renewed.label,
         h(
           "div",
           { class: "row" },
