@@ -48,7 +48,7 @@ class AtSize:
 
 
 def measure(placed: Placed, size: int, pool: Pool, recipe: MapRecipe, product: Product) -> AtSize:
-    """Enrol the members of a map in a random order, and ask it all queries.
+    """Enrol the members of a map in the order of the pool, and ask it all queries.
 
     Parameters
     ----------
@@ -59,8 +59,7 @@ def measure(placed: Placed, size: int, pool: Pool, recipe: MapRecipe, product: P
     recipe : MapRecipe
     product : Product
     """
-    members = np.random.default_rng(size).permutation(placed.members(size)).astype(np.int64)
-    seqs = np.sort(members) + 1
+    seqs = np.sort(placed.members(size)).astype(np.int64) + 1
     described = recipe.description
     index = FlatIndex({name: c.length for name, c in described.parameters.channels.items()}, described.id)
     index.apply(Changes(1, described.id, seqs, pool.vectors[seqs - 1], np.zeros(0, np.int64)))
