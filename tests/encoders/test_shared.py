@@ -210,8 +210,12 @@ def test_where_it_has_no_segmenter_the_drawings_are_made_here(
     shared.close()
 
 
-def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_not(segmenting: InferenceServer) -> None:
+def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_not(
+    segmenting: InferenceServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shared = SharedCompactEncoder(segmenting.url, None, PATIENCE_S)
+    now = time.monotonic()
+    monkeypatch.setattr(shared._client, "_clock", lambda: now)
     image, segmenter = Image.of(drawn(64, 48)), shared.segmenter()
     assert segmenter is not None
 
@@ -224,6 +228,10 @@ def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_no
             segmenter.segment(image)
         assert next(shared.encode([image])).shape == (44, 60)
     assert sum("-segmenter-" in path for path, _, _, _ in segmenting.received) == 1
+    now += 1.1
+    with pytest.raises(EncoderAway, match="answers 503"):
+        segmenter.segment(image)
+    assert sum("-segmenter-" in path for path, _, _, _ in segmenting.received) == 2
     shared.close()
 
 

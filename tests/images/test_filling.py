@@ -103,9 +103,9 @@ def test_a_wide_margin_takes_no_longer_than_a_narrow_one() -> None:
     cells[0, 60] = True
 
     def seconds(margin: float) -> float:
-        begin = time.perf_counter()
+        begin = time.process_time()  # of the processor: a busy machine is slow, not wrong
         mask_of(cells, 40_000, 600, margin)
-        return time.perf_counter() - begin
+        return time.process_time() - begin
 
     seconds(0.012)
     narrow = min(seconds(1e-6) for _ in range(3))
