@@ -39,6 +39,16 @@ def forgetful(store: SqlStore) -> SqlStore:
     return store
 
 
+def only_fog(store: SqlStore) -> None:
+    """Have the map hold two views alone, which could not be described."""
+    for view in views(store):
+        store.removals.delete_view(view.id)
+    for name in ("fog", "mist"):
+        enroll(store, name)
+        [claim] = store.jobs.claim("worker", 1)
+        store.jobs.fail(claim, "nothing-static", f"only {name}", NOW)
+
+
 def test_an_image_is_removed_once_its_view_is_described(store: SqlStore, data: Path) -> None:
     store.maps.put("campus", RECIPE, NOW)
     store.maps.change("campus", MapChanges(keep_images=False))
@@ -231,12 +241,7 @@ def test_a_view_that_is_described_by_two_recipes_keeps_its_image_until_both_have
 
 
 def test_images_go_when_a_switch_ends_or_is_cancelled(forgetful: SqlStore, data: Path) -> None:
-    for view in views(forgetful):
-        forgetful.removals.delete_view(view.id)
-    for name in ("fog", "mist"):
-        enroll(forgetful, name)
-        [claim] = forgetful.jobs.claim("worker", 1)
-        forgetful.jobs.fail(claim, "nothing-static", "only fog", NOW)
+    only_fog(forgetful)
     job = forgetful.jobs.switch_recipe("campus", recipe("other"), NOW)
     enroll(forgetful, "fog")  # by the recipe in use, too
     [claim, *_] = forgetful.jobs.claim("worker", 1)
@@ -257,12 +262,7 @@ def test_images_go_when_a_switch_ends_or_is_cancelled(forgetful: SqlStore, data:
 
 @pytest.mark.parametrize("ending", ["fails", "is cancelled", "is left by three workers", "goes with its view"])
 def test_images_go_however_the_last_job_of_a_switch_ends(forgetful: SqlStore, data: Path, ending: str) -> None:
-    for view in views(forgetful):
-        forgetful.removals.delete_view(view.id)
-    for name in ("fog", "mist"):
-        enroll(forgetful, name)
-        [claim] = forgetful.jobs.claim("worker", 1)
-        forgetful.jobs.fail(claim, "nothing-static", "nothing but fog", NOW)
+    only_fog(forgetful)
     forgetful.jobs.switch_recipe("campus", recipe("other"), NOW)
     [fog] = forgetful.jobs.claim("worker", 1)
     finish(forgetful, fog)

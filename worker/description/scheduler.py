@@ -66,10 +66,10 @@ class Scheduler:
     of its own, so that it does not wait for enrolments. An enrolment is described while the next image is encoded, at a
     lower priority than all else.
 
-    A query waits for the running batch and for earlier queries; of queued enrolments one has its turn after each
-    `IN_A_ROW` queries. Its `finish` runs in the encoder's thread, so that it does not wait for the description of an
-    enrolment either. A request whose future is cancelled before its turn is not encoded, and counts no longer as one
-    that waits.
+    A query waits for the running batch and for earlier queries, unless their callers give up (see `Turns`); of queued
+    enrolments one has its turn after each `IN_A_ROW` queries. Its `finish` runs in the encoder's thread, so that it
+    does not wait for the description of an enrolment either. A request whose future is cancelled before its turn is
+    not encoded, and counts no longer as one that waits.
 
     While a shared encoder is away queries fail with EncoderAway; enrolments wait until it is back.
 

@@ -22,7 +22,7 @@ class Waiting:
     urgency : int
         `QUERY`, `ENROLMENT` or `CLOSE`.
     number : int
-        Requests of the same urgency are served by it, the least first.
+        Requests of the same urgency are served by it, the least first, but for queries where callers give up: `Turns`.
     """
 
     urgency: int

@@ -95,10 +95,10 @@ class Jobs(Part):
                 described, searchable = clock.forward(connection), int(owner.revision)
             keep_description(connection, job, claim.recipe, description, described)
             changed_over = self.settle(connection, job, "done", now)
-        if owner.drop_images and changed_over is None:
+        if changed_over is not None:  # views that had failed before are described too
+            forgetting.remove_after_switch(self._database, self._images, job.map_id)
+        elif owner.drop_images:
             self._images.discard([claim.view.image.sha256])
-        elif owner.drop_images:  # views that had failed before are described too
-            forgetting.remove_all(self._database, self._images, job.map_id)
         return changed_over or searchable
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
