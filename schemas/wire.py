@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from .wire_calibration import (
     CalibrationReport as CalibrationReport,
@@ -180,6 +180,14 @@ class MapDecision(Answer):
     updated_at: Moment | None = Field(description="Of the calibration, or of the latest comparison of its views.")
 
 
+class PresetDifference(Answer):
+    """A parameter whose value in a map is another than in its preset."""
+
+    parameter: str = Field(examples=["ranking.candidates"])
+    value: JsonValue = Field(description="In the map; null: it has none.")
+    preset: JsonValue = Field(description="In the preset; null: it has none.")
+
+
 class MapFacts(Answer):
     """A map: its recipe, counts and size."""
 
@@ -190,6 +198,12 @@ class MapFacts(Answer):
     bytes: int = Field(description="Of all images that are kept.")
     recipe: dict[str, Any] = Field(description="Description recipe, with its `id`.")
     ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
+    preset_differences: list[PresetDifference] = Field(
+        default_factory=list,
+        description="Where parameters and ranking are not those of the map's preset in this version, by its user's "
+        "wish or as it was made by an earlier one: what POST /maps/{map}/recipe that names the preset would change. "
+        "Without `precision` and `same_place_m`, which stay; empty for a map of another encoder.",
+    )
     decision: MapDecision
     keep_queries: int = Field(0, description="How many queries that matched nothing are kept at most.")
     keep_matches: int = Field(0, description="How many that matched a view but look unlike it are kept at most.")

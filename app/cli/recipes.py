@@ -95,9 +95,12 @@ def run_recipe(arguments: argparse.Namespace) -> int:
             return _finished(revisit, job, arguments)
         facts = revisit.map(arguments.map) if ranking is None else revisit.change_ranking(arguments.map, **ranking)
     if arguments.json:
-        show_json({"recipe": facts.recipe, "ranking": facts.ranking})
+        show_json(facts.model_dump(mode="json", include={"recipe", "ranking", "preset_differences"}))
     else:
         show(f"map {facts.name}, preset {facts.ranking.get('preset')}")
+        if facts.preset_differences:
+            rows = [(one.parameter, _text(one.value), _text(one.preset)) for one in facts.preset_differences]
+            show("\ndiffers from its preset\n" + table(("parameter", "here", "preset"), rows))
         for title, fields in (("described by", facts.recipe), ("ranked by", facts.ranking)):
             show(f"\n{title}\n" + table(("parameter", "value"), list(_lines(fields))))
     return DONE
@@ -126,8 +129,12 @@ def _lines(fields: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
         if isinstance(value, Mapping):
             yield from _lines(value, f"{prefix}{name}.")
         else:
-            listed = isinstance(value, list | tuple)
-            yield f"{prefix}{name}", ", ".join(map(str, value)) if listed else "-" if value is None else str(value)
+            yield f"{prefix}{name}", _text(value)
+
+
+def _text(value: object) -> str:
+    """A value of a recipe, for a table."""
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else "-" if value is None else str(value)
 
 
 def _labels(text: str | None) -> list[str] | None:

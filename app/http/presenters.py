@@ -138,6 +138,10 @@ def map_facts(state: MapState) -> wire.MapFacts:
             "vocabulary_size": {name: channel.vocabulary_size for name, channel in channels},
             "dimensions": {name: channel.length for name, channel in channels},
         },
+        preset_differences=[
+            wire.PresetDifference(parameter=one.parameter, value=one.value, preset=one.preset)
+            for one in state.preset_differences
+        ],
         decision=_map_decision(state),
         keep_queries=record.keep_queries,
         keep_matches=record.keep_matches,

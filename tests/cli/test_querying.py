@@ -252,19 +252,23 @@ def test_places(service: FakeService, capsys: Out) -> None:
 
 
 def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, capsys: Out) -> None:
-    facts = answers.map_facts() | {"ranking": {"id": "k", "preset": "default"}}
+    differs = [{"parameter": "ranking.candidates", "value": 7, "preset": 50}]
+    facts = answers.map_facts() | {"ranking": {"id": "k", "preset": "default"}, "preset_differences": differs}
     service.replies["GET /maps/default"] = 200, facts
     service.replies["POST /maps/default/recipe"] = 202, answers.job("waiting", kind="recipe")
     service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("done", kind="recipe")
 
     assert main(["recipe", "--map", "default"]) == 0
     text = capsys.readouterr().out
-    assert text.startswith("map default, preset default\n\ndescribed by\n")
+    assert text.startswith("map default, preset default\n\ndiffers from its preset\n")
+    assert ["ranking.candidates", "7", "50"] in [line.split() for line in text.splitlines()]
+    assert "\n\ndescribed by\n" in text
     assert "{" not in text
     assert main(["recipe", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["ranking"]["preset"] == "default"
     assert shown["recipe"] == facts["recipe"]
+    assert shown["preset_differences"] == differs
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
     assert json.loads(service.requests[2][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}

@@ -81,11 +81,17 @@ def test_a_map_from_before_changes_over_to_its_preset_as_it_is_now_and_keeps_wha
     client.put("/maps/new")
     enroll(client, 0)
     now = client.get("/maps/new").json()
+    assert now["preset_differences"] == []
+    assert client.get("/maps/default").json()["preset_differences"] == [
+        {"parameter": "parameters.local_features_equalised", "value": True, "preset": False},
+        {"parameter": "ranking.shortlist_looked", "value": 0, "preset": 1000},
+    ]
 
     begun = client.post("/maps/default/recipe", json={"preset": "default"})
 
     assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
     facts = client.get("/maps/default").json()
+    assert facts["preset_differences"] == []
     assert facts["recipe"]["parameters"] == now["recipe"]["parameters"]
     assert facts["ranking"] == {**now["ranking"], "precision": 0.99, "id": facts["ranking"]["id"]}
     assert [label["label"] for label in facts["labels"]] == labels["labels"]

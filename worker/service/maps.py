@@ -15,6 +15,7 @@ from schemas.records import JobRecord, MapCounts, MapRecord, Meaning
 from schemas.removal import Removal
 from worker.description.describers import Describers
 from worker.description.ports import Encoder
+from worker.description.preset_differences import USERS_OWN, PresetDifference, preset_differences
 from worker.description.presets import Wanted, changed_ranking, make_recipe
 from worker.method.calibration import Calibration
 from worker.method.own_calibration import OwnCalibration
@@ -27,13 +28,11 @@ from worker.service.trouble import STORAGE_ERRORS
 ATTEMPTS = 5
 """How often the next recipe of a map is made, whose present one is changed meanwhile."""
 
-USERS_OWN = ("precision", "same_place_m")
-"""Of a ranking, what is the user's word on the map and no part of how it ranks: it stays whatever preset is named."""
-
 
 @dataclass(frozen=True)
 class MapState:
-    """A map, its size, its calibration (`own`, or the shipped one), and how the encoder understands its labels."""
+    """A map, its size, its calibration (`own`, or the shipped one), how the encoder understands its labels, and where
+    its recipe differs from its preset."""
 
     record: MapRecord
     counts: MapCounts
@@ -41,6 +40,7 @@ class MapState:
     calibration: Calibration
     own: OwnCalibration | None
     meanings: tuple[Meaning, ...]
+    preset_differences: tuple[PresetDifference, ...]
 
 
 class MapService:
@@ -266,12 +266,14 @@ class MapService:
         labels = record.description.labels
         if self._is_own(record.description):
             meanings = tuple(self._encoder.meanings(labels))
-        else:  # labels of an encoder that is not running
+            differences = preset_differences(record.recipe, self._encoder)
+        else:  # of an encoder that is not running, for which the preset may be another one
             meanings = tuple(Meaning(label, (), trained=False) for label in labels)
+            differences = ()
         counts, levels = self._maps.counts(record.name), self._comparisons.levels(record.name)
         own = None if record.calibration is None else own_calibration(record.calibration)
         calibration = self._shipped(record.recipe) if own is None else own.calibration
-        return MapState(record, counts, levels, calibration, own, meanings)
+        return MapState(record, counts, levels, calibration, own, meanings, differences)
 
     def _is_own(self, recipe: DescriptionRecipe) -> bool:
         return (recipe.encoder, recipe.weights) == (self._encoder.name, self._encoder.digest)

@@ -2,7 +2,20 @@
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
-import { announce, checkbox, confirmed, count, decimals, facts, field, h, percent, problemBox, table } from "./dom.js";
+import {
+  announce,
+  checkbox,
+  confirmed,
+  count,
+  decimals,
+  facts,
+  field,
+  folded,
+  h,
+  percent,
+  problemBox,
+  table,
+} from "./dom.js";
 import { image } from "./images.js";
 import { followed } from "./jobs.js";
 import { mapHead } from "./parts.js";
@@ -98,6 +111,7 @@ export function recipeScreen(name) {
           field("Queries to compare", queries),
         ),
         renewed.label,
+        differences(map.preset_differences),
         h(
           "div",
           { class: "row" },
@@ -176,6 +190,16 @@ export function recipeScreen(name) {
       left = true;
     },
   };
+}
+
+/** Where the map is not as its preset, to be opened; nothing where it is. */
+function differences(listed) {
+  const shown = (value) => (value === null ? "none" : JSON.stringify(value));
+  const rows = listed.map((one) => [one.parameter, shown(one.value), shown(one.preset)]);
+  const title = `${count(rows.length, "parameter")} ${rows.length === 1 ? "differs" : "differ"} from the preset`;
+  const heads = ["Parameter", "Here", "Preset"];
+  const region = { class: "table", tabindex: "0", role: "region", "aria-label": title };
+  return rows.length > 0 && folded(title, () => h("div", region, table(heads, rows)));
 }
 
 function progressOf({ state, progress }) {

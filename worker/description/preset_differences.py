@@ -1,0 +1,56 @@
+"""Where a map's recipe differs from its preset as this version has it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from pydantic import JsonValue
+
+from schemas.recipe import MapRecipe
+from worker.description.ports import Encoder
+from worker.description.presets import PRESETS, preset_for
+
+USERS_OWN = ("precision", "same_place_m")
+"""Of a ranking, what is the user's word on the map and no part of how it ranks: it stays whatever preset is named."""
+
+
+@dataclass(frozen=True)
+class PresetDifference:
+    """A parameter whose value in a map is another than in its preset.
+
+    Parameters
+    ----------
+    parameter : str
+        Path as in a request: ``ranking.weights.graph``, ``parameters.local_features``.
+    value, preset : JSON value
+        In the map and in the preset; None where it has none.
+    """
+
+    parameter: str
+    value: JsonValue
+    preset: JsonValue
+
+
+def preset_differences(recipe: MapRecipe, encoder: Encoder) -> tuple[PresetDifference, ...]:
+    """What naming a map's own preset would change of its parameters and ranking; nothing of a preset unknown here."""
+    name = recipe.ranking.preset
+    if name not in PRESETS:
+        return ()
+    preset = preset_for(name, encoder)
+    own = {"preset", *USERS_OWN}
+    described, ranked = (
+        [half.model_dump(mode="json", exclude=own) for half in pair]
+        for pair in ((recipe.description.parameters, preset.parameters), (recipe.ranking, preset.ranking))
+    )
+    return (*_differences(*described, "parameters"), *_differences(*ranked, "ranking"))
+
+
+def _differences(
+    ours: Mapping[str, JsonValue], theirs: Mapping[str, JsonValue], path: str
+) -> Iterator[PresetDifference]:
+    """Those of two objects, depth first."""
+    for name in {**theirs, **ours}:
+        value, preset = ours.get(name), theirs.get(name)
+        if isinstance(value, dict) and isinstance(preset, dict):
+            yield from _differences(value, preset, f"{path}.{name}")
+        elif value != preset:
+            yield PresetDifference(f"{path}.{name}", value, preset)
