@@ -35,10 +35,10 @@ export const MAP_NAME = {
 
 let fields = 0;
 
-/** A control with its label above it. */
-export function field(text, control) {
+/** A control with its label above it; `wide`: over the whole row. */
+export function field(text, control, wide = false) {
   control.id ||= `field-${++fields}`;
-  return h("div", { class: "field" }, h("label", { for: control.id }, text), control);
+  return h("div", { class: wide ? "field wide" : "field" }, h("label", { for: control.id }, text), control);
 }
 
 export function checkbox(text, attributes = {}) {

@@ -105,8 +105,8 @@ export function recipeScreen(name) {
         h(
           "div",
           { class: "fields" },
-          field("Labels, with commas", inputs.labels),
-          field("Those that move", inputs.dynamic),
+          field("Labels, with commas", inputs.labels, true),
+          field("Those that move", inputs.dynamic, true),
           field("Preset", inputs.preset),
           field("Queries to compare", queries),
         ),
