@@ -8,17 +8,8 @@ import pytest
 from schemas.errors import EncoderAway
 from schemas.image import Image
 from schemas.inference import JSON_LENGTH, Tensor, packed
-from tests.encoders.test_shared import (
-    PATIENCE_S,
-    PIXELS,
-    Answer,
-    Handler,
-    InferenceServer,
-    client,
-    says,
-    segmenting,
-    server,
-)
+from tests.encoders.inference_server import Answer, Handler, InferenceServer, says
+from tests.encoders.test_shared import PATIENCE_S, PIXELS, client, segmenting, server
 from tests.sample_images import drawn
 from worker.encoders.compact.shared import SharedCompactEncoder
 from worker.encoders.inference_client import FailedImage, InferenceClient

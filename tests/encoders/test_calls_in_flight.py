@@ -11,7 +11,8 @@ from schemas.description import PixelField
 from schemas.errors import EncoderAway
 from schemas.image import Image
 from schemas.inference import Tensor
-from tests.encoders.test_shared import Handler, InferenceServer, local, says, server
+from tests.encoders.inference_server import Handler, InferenceServer, says
+from tests.encoders.test_shared import local, server
 from tests.sample_images import drawn
 from tests.waiting import until
 from worker.description.scheduler import Scheduler, field_alone

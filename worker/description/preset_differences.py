@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from pydantic import JsonValue
+from pydantic import BaseModel, JsonValue
 
 from schemas.recipe import MapRecipe
 from worker.description.ports import Encoder
@@ -36,21 +36,24 @@ def preset_differences(recipe: MapRecipe, encoder: Encoder) -> tuple[PresetDiffe
     if name not in PRESETS:
         return ()
     preset = preset_for(name, encoder)
-    own = {"preset", *USERS_OWN}
-    described, ranked = (
-        [half.model_dump(mode="json", exclude=own) for half in pair]
-        for pair in ((recipe.description.parameters, preset.parameters), (recipe.ranking, preset.ranking))
+    return (
+        *_differences("parameters", _values(recipe.description.parameters), _values(preset.parameters)),
+        *_differences("ranking", _values(recipe.ranking), _values(preset.ranking)),
     )
-    return (*_differences(*described, "parameters"), *_differences(*ranked, "ranking"))
+
+
+def _values(half: BaseModel) -> dict[str, JsonValue]:
+    """What a preset may change."""
+    return half.model_dump(mode="json", exclude={"preset", *USERS_OWN})
 
 
 def _differences(
-    ours: Mapping[str, JsonValue], theirs: Mapping[str, JsonValue], path: str
+    path: str, ours: Mapping[str, JsonValue], theirs: Mapping[str, JsonValue]
 ) -> Iterator[PresetDifference]:
     """Those of two objects, depth first."""
     for name in {**theirs, **ours}:
         value, preset = ours.get(name), theirs.get(name)
         if isinstance(value, dict) and isinstance(preset, dict):
-            yield from _differences(value, preset, f"{path}.{name}")
+            yield from _differences(f"{path}.{name}", value, preset)
         elif value != preset:
             yield PresetDifference(f"{path}.{name}", value, preset)

@@ -5,6 +5,7 @@ tries it with a small image first. So a query never waits for a server that was 
 """
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -48,11 +49,18 @@ IDLE_S = 3.0
 UNIT_WITHIN = 0.01
 """By how much lengths of the vectors that it answers may differ from 1: it may compute in halves of our precision."""
 
+ROOM = 1_000_000
+"""Bytes that an answer may have beside twice those of its outputs: its JSON, or what a refusal says."""
+
 _LONGEST_WORD, _MOST_DIGITS = 300, 9
 
 
 class UnknownModel(EncoderAway):
     """The server does not have these weights, or does not let this process in: time alone mends neither."""
+
+
+class _TooLong(Exception):
+    """An answer goes on beyond so many bytes."""
 
 
 class FailedImage(Exception):
@@ -72,6 +80,11 @@ class _Call:
     shape: tuple[int, int, int]
     parameters: Mapping[str, int]
     urgent: bool
+
+    def most_bytes(self, channels: Mapping[str, int]) -> int:
+        """Of its answer, for layers of so many channels: the server may have outputs that are not used."""
+        numbers = math.prod(self.shape) * sum(channels[layer] for layer in self.outputs)
+        return 2 * numbers * np.dtype(np.float32).itemsize + ROOM
 
 
 class InferenceClient:
@@ -211,15 +224,18 @@ class InferenceClient:
             }
         }
         length, body = packed("inputs", call.inputs, wanted)
+        most = call.most_bytes(self._channels)
         try:
             try:
-                status, headers, content = self._post(call.model, length, body, patience_s)
+                status, headers, content = self._post(call.model, length, body, most, patience_s)
                 if status == 503 and headers.get("connection") == "close":
                     # It stops; behind the same address there may be another.
-                    status, headers, content = self._post(call.model, length, body, patience_s)
+                    status, headers, content = self._post(call.model, length, body, most, patience_s)
             except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
                 # It had closed a connection that was kept: encoding twice does no harm.
-                status, headers, content = self._post(call.model, length, body, patience_s)
+                status, headers, content = self._post(call.model, length, body, most, patience_s)
+        except _TooLong:
+            raise self._away(f"answers more than {most:,} bytes") from None
         except httpx.TimeoutException:
             raise self._away(f"does not answer within {patience_s:.1f} s") from None
         except httpx.HTTPError as error:
@@ -237,7 +253,9 @@ class InferenceClient:
                 raise FailedImage(f"the encoder at {self._place} gives vectors in {name} that are not of unit length")
         return layers
 
-    def _post(self, model: str, length: int, body: bytes, patience_s: float) -> tuple[int, httpx.Headers, bytes]:
+    def _post(
+        self, model: str, length: int, body: bytes, most_bytes: int, patience_s: float
+    ) -> tuple[int, httpx.Headers, bytes]:
         until = self._clock() + patience_s
         timeout = httpx.Timeout(patience_s, connect=min(CONNECT_S, patience_s))
         address = f"{self._place}/v2/models/{model}/infer"
@@ -245,9 +263,12 @@ class InferenceClient:
             "POST", address, content=body, headers={JSON_LENGTH: str(length)}, timeout=timeout
         ) as answer:
             begun = self._clock()
-            chunks = []
+            chunks, room = [], most_bytes
             for chunk in answer.iter_raw():  # each of them has its own time, and all together have it once more
                 chunks.append(chunk)
+                room -= len(chunk)
+                if room < 0:
+                    raise _TooLong
                 if self._clock() > max(until, begun + patience_s):
                     raise httpx.ReadTimeout("the answer does not end")
         return answer.status_code, answer.headers, b"".join(chunks)

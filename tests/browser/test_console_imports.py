@@ -1,0 +1,74 @@
+"""Recordings and videos are imported in the console."""
+
+import zipfile
+from pathlib import Path
+
+import httpx
+
+from tests.browser.conftest import Open
+from tests.browser.test_console_maps import check, seen
+from tests.drawn_videos import frames, video
+from tests.stories.running import RunningService
+
+
+def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    archive = tmp_path / "walk.zip"
+    with zipfile.ZipFile(archive, "w") as recording:
+        recording.writestr("manifest.csv", "file,place,x,y\n0.jpg,gate,1,2\n1.jpg,yard,far,2\n")
+        for number, place in enumerate(("mill lane", "rose garden")):
+            recording.writestr(f"{number}.jpg", seen(place))
+        recording.writestr("notes.txt", "a fine day")
+    (tmp_path / "bad.zip").write_text("no archive")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.get_by_label("or a new map").fill("walk")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    choose, start = (
+        panel.get_by_label("Choose a zip archive or a video"),
+        panel.get_by_role("button", name="Import the recording"),
+    )
+    choose.set_input_files(tmp_path / "bad.zip")
+    start.press("Enter")
+    assert "zip" in panel.get_by_role("alert").inner_text()
+
+    choose.set_input_files(archive)
+    start.press("Enter")
+    panel.get_by_text("Done: walk.").wait_for()
+    assert [(one["place"], one["state"]) for one in httpx.get(f"{service.url}/views?map=walk").json()["views"]] == [
+        ("gate", "ready")
+    ]
+    panel.get_by_text("The row of the manifest cannot be used: 1").wait_for()
+    assert "x is 'far', which is no number" in panel.inner_text()
+    assert panel.get_by_text("notes.txt").is_visible()
+    check(tab, "a recording")
+
+
+def test_a_proxy_that_answers_in_place_of_the_service_is_told_from_it(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "walk.zip").write_bytes(b"PK")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.route("**/imports", lambda route: route.fulfill(body="<h1>Log in</h1>", content_type="text/html"))
+    tab.page.get_by_label("or a new map").fill("walk")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    panel.get_by_label("Choose a zip archive or a video").set_input_files(tmp_path / "walk.zip")
+    panel.get_by_role("button", name="Import the recording").press("Enter")
+
+    assert "a proxy between" in panel.get_by_role("alert").inner_text()
+    assert panel.get_by_role("button", name="Import the recording").is_enabled()
+
+
+def test_a_video_is_imported_with_a_frame_every_two_seconds(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    video(tmp_path / "walk.mp4", frames(6), 1, "mp4v")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.get_by_label("or a new map").fill("filmed")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    panel.get_by_label("Choose a zip archive or a video").set_input_files(tmp_path / "walk.mp4")
+    panel.get_by_label("Every").fill("1m")
+    panel.get_by_label("Every").press("Enter")
+    assert "does not say where" in panel.get_by_role("alert").inner_text()
+
+    panel.get_by_label("Every").fill("2s")
+    panel.get_by_label("Every").press("Enter")
+    panel.get_by_text("Done: filmed.").wait_for()
+    views = httpx.get(f"{service.url}/views?map=filmed").json()["views"]
+    assert [view["metadata"]["video_s"] for view in views] == [0, 2, 4]
