@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, composed, rows_of, within
+from lab.datasets.dataset import ENDINGS, RADIUS_M, Dataset, UnexpectedLayout, composed, rows_of, within
 from lab.metrics.recall import Doubles, Indices
 
 EXPECTED = """\
@@ -66,6 +66,8 @@ def read(
         headings = _column(rows, ("heading", "heading_deg"), path)
         positives = _facing(positives, headings[~is_query], headings[is_query], heading_tolerance)
         truth += f" and {heading_tolerance:g} degrees of heading"
+    if unnamed := _unnamed(root, files):
+        truth += f"; images that {table} does not name take no part: {unnamed}"
     return [
         Dataset(
             name=root.name,
@@ -83,6 +85,12 @@ def _found(root: Path, name: str) -> Path:
     """The file of this name, however its accents are written."""
     forms = (root / name, root / composed(name), root / unicodedata.normalize("NFD", name))
     return next((file for file in forms if file.is_file()), forms[0])
+
+
+def _unnamed(root: Path, named: Sequence[Path]) -> int:
+    """How many images lie below a folder besides those that its table names."""
+    images = {path for path in root.rglob("[!.]*") if path.suffix.lower() in ENDINGS}
+    return len(images - set(named))
 
 
 def _facing(positives: Sequence[Indices], database: Doubles, queries: Doubles, tolerance: float) -> list[Indices]:

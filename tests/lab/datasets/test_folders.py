@@ -91,6 +91,14 @@ def test_folder_by_hand(tmp_path: Path) -> None:
     assert [p.tolist() for p in facing.positives] == [[1], []]
 
 
+def test_images_that_the_table_does_not_name_are_told_of(tmp_path: Path) -> None:
+    walk(tmp_path, "database/a.jpg,0,0,0\nquery/c.jpg,0,10,0")
+    assert "take no part" not in folder.read(tmp_path)[0].truth
+    image(tmp_path / "query" / "d.jpg")
+    image(tmp_path / "query" / "._d.jpg")  # what macOS leaves beside it
+    assert folder.read(tmp_path)[0].truth == "within 25 m; images that positions.csv does not name take no part: 1"
+
+
 def test_folder_in_degrees(tmp_path: Path) -> None:
     # At 60 degrees north a degree of longitude is half as long: 0.001 degrees are 55.6 m.
     rows = "a.jpg,60,24.999,database\nb.jpg,60,25.0003,database\nc.jpg,60,25,query"
