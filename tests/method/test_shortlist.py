@@ -27,6 +27,7 @@ from worker.method.shortlist import (
     shortlist,
     worth_a_look,
 )
+from worker.method.unit_length import unit
 
 CROWD = 120
 RIGHT = 10 + 90
@@ -147,6 +148,16 @@ def test_cells_worked_by_hand() -> None:
     query = quantise(np.tile(np.array([1, 0], np.float32), (2, 2, 1)))
     candidate = quantise(np.array([[[0, 1], [0.6, 0.8]], [[-1, 0], [0, -1]]], np.float32))
     assert rough_similarity(query, [candidate])[0] == pytest.approx(0.36, abs=0.01)
+
+
+@pytest.mark.parametrize("shape", [(1, 14), (8, 1), (1, 1)])
+def test_grids_without_a_quarter_size_are_compared_at_half_size(shape: tuple[int, int]) -> None:
+    """A recipe may have grids of two or three rows or columns, of which one is left at half size."""
+    random = np.random.default_rng(3)
+    query, other = (quantise(unit(random.standard_normal((*shape, 16)).astype(np.float32))) for _ in range(2))
+    itself, unlike = rough_similarity(query, [query, other])
+    assert itself == pytest.approx(1, abs=0.02)
+    assert unlike < 0.8
 
 
 def test_what_is_guaranteed_stays_whatever_its_cells_say() -> None:

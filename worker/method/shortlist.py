@@ -74,6 +74,8 @@ def only(candidates: Candidates, kept: Booleans) -> Candidates:
 def rough_similarity(query: Int8s, candidates: Sequence[Int8s], product: Product = float_product) -> Floats:
     """How well a query's cells at a quarter size are found anywhere among candidates' cells at half size.
 
+    A grid of one row or column has no quarter size: then the query's cells are those at half size.
+
     Parameters
     ----------
     query : int8 of shape (rows, columns, dimensions)
@@ -87,7 +89,8 @@ def rough_similarity(query: Int8s, candidates: Sequence[Int8s], product: Product
     float32 of shape (candidates,)
         Mean square of the best cosine of each of the query's cells, 0..1; where it lies is not looked at.
     """
-    rough = quantise(dense_cells.halve(query)).reshape(-1, query.shape[2])
+    quarter = quantise(dense_cells.halve(query)) if min(query.shape[:2]) > 1 else query
+    rough = quarter.reshape(-1, query.shape[2])
     cells = np.stack(candidates).reshape(-1, query.shape[2])
     products = product(cells, rough).reshape(len(candidates), -1, len(rough))
     best = np.maximum(products.max(axis=1), 0).astype(np.float32) * np.float32(scale(rough) * scale(cells))
