@@ -381,12 +381,16 @@ def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
 
 
 def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estimate | None:
-    """The estimated position of the query; None without a match or when the best match has no position."""
+    """The estimated position of the query; None without a match or when the best match has no position.
+
+    Of several maps that of the first place alone counts: each has a frame of its own.
+    """
     if decision.status == "no_match":
         return None
     found = results.views[:top]
-    around = results.ranking.places.positions()
-    fix = locate([f.view.attributes.position for f in found], decision.confidences[:top], around)
+    first = found[0]
+    positions = [f.view.attributes.position if f.view.map == first.view.map else Position() for f in found]
+    fix = locate(positions, decision.confidences[:top], results.ranking.places.positions(first.seq))
     if fix is None:
         return None
     known = position(fix.position)

@@ -110,6 +110,24 @@ def test_a_floor_enrolled_twice_is_its_own_look_alike(client: httpx.Client) -> N
     assert client.get(both["matches"][1]["links"]["explanation"]).status_code == 200
 
 
+def test_an_estimated_position_is_in_the_frame_of_the_first_places_map(client: httpx.Client) -> None:
+    """Surveyed twice, from origins 8 m apart: a mean of both would be a position in neither."""
+    origins = {"spring": 2.0, "autumn": 10.0}
+    spots = [(spot, image) for floor, spot, image in HOUSE.enrolments() if floor == 1]
+    for name, origin in origins.items():
+        for spot, image in spots:
+            known = {"map": name, "place": f"spot {spot}", "x": str(origin + 100 * spot), "y": "0"}
+            assert client.post("/enroll", params=known, content=jpeg(image), headers=JPEG).status_code == 201
+    settled(client, *origins)
+    spot, image = spots[0]
+    answer = query(client, jpeg(image), maps="spring,autumn")
+    first, second = (match["view"] for match in answer["matches"][:2])
+    assert {first["map"], second["map"]} == set(origins)
+    estimate = answer["estimate"]
+    assert estimate["position"]["x"] == pytest.approx(origins[answer["map"]] + 100 * spot)
+    assert (estimate["views"], estimate["radius_m"]) == ([first["id"]], pytest.approx(100.0))
+
+
 def test_views_of_any_of_the_maps_can_be_left_out(client: httpx.Client) -> None:
     taken = jpeg(next(iter(HOUSE.enrolments()))[2])
     first = query(client, taken, maps=BOTH)["matches"][0]["view"]
