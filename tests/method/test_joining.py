@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 
 from schemas.comparisons import MapLevels
 from worker.method.calibration import Verdict
-from worker.method.decision import EMPTY, SURE, Decision, PlaceProbability, Reason
+from worker.method.decision import EMPTY, PRIOR, SURE, Decision, PlaceProbability, Reason, expected_levels
 from worker.method.joining import Joined, join, pooled
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
@@ -116,3 +116,15 @@ def test_levels_of_several_maps_are_means_over_their_compared_views() -> None:
     assert pooled([known, two]).own == pytest.approx(0.8)  # where no place has two views, none tells
     assert pooled([known, replace(two, own=0.4, paired=1)]).own == pytest.approx(0.7)
     assert pooled([MapLevels(), MapLevels()]) == MapLevels()
+
+
+def test_maps_that_know_of_no_lead_say_nothing_of_leads() -> None:
+    """One of two places, many views of each, and one that was made a moment ago, beside a map of many places."""
+    many = MapLevels(compared=20, level=0.3, gap=0.05, others=19, breadth=3.0)
+    two, new = MapLevels(compared=180, level=0.3, gap=0.0, others=90), MapLevels()
+    for others in ([two], [new], [two, new]):
+        together = pooled([*others, many])
+        assert (together.gap, together.breadth) == (0.05, 3.0)
+        assert expected_levels(together).gap >= expected_levels(PRIOR).gap
+    assert pooled([two, two]) == replace(two, compared=360, others=180)
+    assert pooled([many, replace(many, gap=0.01, breadth=1.0)]).breadth == pytest.approx(2.0)

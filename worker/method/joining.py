@@ -79,26 +79,32 @@ def join(decisions: Sequence[Decision]) -> Joined:
 
 
 def pooled(levels: Sequence[MapLevels]) -> MapLevels:
-    """What wrong answers get in several maps taken together: means over their compared views."""
+    """What wrong answers get in several maps taken together: means over their compared views.
+
+    A map of two places knows of no lead, and one that was just made of nothing: they say nothing of what they lack.
+    """
     compared = sum(one.compared for one in levels)
     if len(levels) == 1 or compared == 0:
         return levels[0]
-    shares = [one.compared / compared for one in levels]
-    breadths = [one.breadth for one in levels if one.breadth is not None]
     paired = sum(one.paired for one in levels)
     return MapLevels(
         compared=compared,
-        level=sum(share * one.level for share, one in zip(shares, levels, strict=True)),
-        gap=sum(share * one.gap for share, one in zip(shares, levels, strict=True)),
+        level=_mean([(one.level, one.compared) for one in levels]) or 0.0,
+        gap=_mean([(one.gap or None, one.compared) for one in levels]) or 0.0,
         others=sum(one.others for one in levels),
         updated_at=max((one.updated_at for one in levels if one.updated_at is not None), default=None),
-        breadth=sum(share * one for share, one in zip(shares, breadths, strict=True))
-        if len(breadths) == len(levels)
-        else None,
+        breadth=_mean([(one.breadth, one.compared) for one in levels]),
         own=sum((one.own or 0.0) * one.paired for one in levels) / paired if paired else None,
         paired=paired,
         current=sum(one.current for one in levels),
     )
+
+
+def _mean(values: Sequence[tuple[float | None, int]]) -> float | None:
+    """Mean of values by how much each counts; None where none is known that counts."""
+    known = [(value, count) for value, count in values if value is not None and count > 0]
+    total = sum(count for _, count in known)
+    return sum(value * count for value, count in known) / total if total else None
 
 
 def _scaled(decision: Decision, factor: float) -> Decision:
