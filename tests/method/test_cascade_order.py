@@ -71,6 +71,17 @@ class TestOrder:
         assert ranking[0].parts.keys() == {"histogram.semantic", "histogram.detail"}
         assert ranking[0].score > 0.8
 
+    @pytest.mark.parametrize("histogram", [{SEMANTIC: 0.04, DETAIL: 0.0}, {SEMANTIC: 0.04}])
+    def test_a_histogram_that_weighs_nothing_beside_another_does_not_decide(self, histogram: dict[str, float]) -> None:
+        weights = TermWeights(dense=1.0, histogram=histogram)
+
+        ranking = ranked(changed(weights=weights), reranked=0)
+
+        assert seqs(ranking) == [12, 10, 15, 13, 14, 11], "by the channel semantic"
+        for candidate in ranking:
+            assert candidate.parts[f"histogram.{SEMANTIC}"] == candidate.score
+            assert candidate.parts[f"histogram.{DETAIL}"] == 0
+
     def test_a_map_says_how_many_are_reranked_unless_a_query_does(self) -> None:
         maps, queries = enrolled(), enrolled()
 

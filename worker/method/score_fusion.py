@@ -59,7 +59,8 @@ def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) ->
     """Score of every candidate, and its weighted terms.
 
     With ``mode="graph"`` (the paper) the graph similarity is the score, and the histogram only breaks ties; with
-    nothing re-ranked the histograms are the score. A candidate that was not re-ranked never scores above one that was.
+    nothing re-ranked the histograms are the score, by their weights, or all alike where none has any. A candidate that
+    was not re-ranked never scores above one that was.
 
     Parameters
     ----------
@@ -73,7 +74,8 @@ def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) ->
     """
     weights = config.weights.terms()
     if len(reranked) == 0:
-        weights = {name: weights.get(name) or 1.0 for name in terms}
+        weights = {name: weights.get(name, 0.0) for name in terms}
+        weights = weights if any(weights.values()) else dict.fromkeys(terms, 1.0)
     elif config.mode == "graph":
         weights = {"graph": 1.0}
     total, parts = weigh(terms, weights)
