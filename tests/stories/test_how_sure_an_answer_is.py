@@ -1,6 +1,8 @@
 """Confidence says how sure the first answer is, whatever else is wanted and however small the map."""
 
 from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scenes import scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
+from tests.stories.running import settings
 from worker.runtime import Runtime, build
 
 pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
@@ -38,6 +41,25 @@ def test_it_does_not_depend_on_how_many_matches_are_wanted(client: CheckedClient
     ]
     assert [len(answer["matches"]) for answer in answers] == [1, 2, 3]
     assert len({(answer["status"], answer["confidence"]) for answer in answers}) == 1
+
+
+def test_the_order_does_not_depend_on_it_either(tmp_path: Path) -> None:
+    """Where few are re-ranked, or none: a view that is eleventh by both channels may be among the first ten."""
+    kinds = ("lane", "park", "corridor")
+    with CheckedClient(create_app(build(settings(tmp_path, compare=False)))) as client:
+        for name in (f"{kind} {n}" for n in range(8) for kind in kinds):
+            taken = jpeg(scene(name).sized(320, 240).pixels)
+            client.post(f"/enroll?place={name}", content=taken, headers={"content-type": "image/jpeg"})
+        for candidates, kind in product((0, 2), kinds):
+            taken = jpeg(scene(f"{kind} 3").seen_from(dx=0.7, turn=5).at("dusk").sized(320, 240).pixels)
+            few, many = (
+                client.post(
+                    f"/query?top={top}&candidates={candidates}", content=taken, headers={"content-type": "image/jpeg"}
+                ).json()
+                for top in (10, 100)
+            )
+            assert few["matches"] == many["matches"][:10]
+            assert (few["confidence"], few["places"][0]) == (many["confidence"], many["places"][0])
 
 
 def test_the_only_view_of_a_map_is_not_everywhere(client: CheckedClient) -> None:

@@ -258,7 +258,7 @@ class CalibrationService:
                 raise Conflict(f"the view {view.id} was deleted, or its map was described anew, in the meantime")
             config, fixed = now.ranking, [self._catalogue.camera_fixed(index, now.description)]
             fetcher = Fetcher(self._descriptions, self._comparisons, now.description.id, fixed=fixed)
-            count = max(GROUPED, config.searched)
+            count = max(cascade.LISTED, config.searched)
             try:
                 found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
                 shown = fetcher.without_fixed(description)

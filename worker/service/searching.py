@@ -202,7 +202,8 @@ class Searcher:
         if records[0].description.id != recipe.id or len({_kind(record) for record in records}) > 1:
             raise RecipeChanged
         config = records[0].ranking
-        count = max(top, config.searched if candidates is None else candidates)
+        # Not only as many as are wanted: what is found decides the order, and must not depend on that.
+        count = max(top, cascade.LISTED, config.searched if candidates is None else candidates)
         several = [
             index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
             for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)

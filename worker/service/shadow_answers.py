@@ -92,7 +92,7 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
     for _ in range(ROUNDS):
         selection = Selection(among, np.array(sorted(gone), np.int64))
         try:
-            found = side.index.search(description.vectors, max(GROUPED, config.searched), selection)
+            found = side.index.search(description.vectors, max(cascade.LISTED, config.searched), selection)
             ranking = cascade.rank(
                 query, found, recipe, config, side.fetcher, top=GROUPED, product=product,
                 impostors=side.impostors,
