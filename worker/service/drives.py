@@ -3,19 +3,19 @@
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from worker.method.decision import SOFTENING, Decision, PlaceProbability, Reason, confidences
+from worker.method.decision import GROUPED, SOFTENING, Decision, PlaceProbability, Reason, confidences
 from worker.method.drive import Drive, Single, follow, spread
 from worker.method.evidence import Ranking
 from worker.service.agreement import Row
 from worker.service.results import RankedResults
 
 DRIVEN = 20
-"""Views that an image of a drive may be decided for, at least; a single image decides for fewer."""
+"""Views that an image of a drive may be decided for, however many are wanted; a single image decides for fewer."""
 
 LISTED = 1e-3
 """Least probability of a view whose place is told of, the likeliest apart."""
@@ -149,7 +149,7 @@ class Drives:
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         probability = dict(zip(single.seqs.tolist(), together.tolist(), strict=True))
-        results, posterior = self._together(results, probability)
+        results, posterior, count = self._together(results, probability)
         driven = Driven(drive.images, posterior, decision.status, row.images)
         if consistent is not None:
             return results, _consistent(decision, row.images, consistent), driven
@@ -157,13 +157,13 @@ class Drives:
         leaning = decision.status != "matched" and posterior[0].probability >= LIKELIER
         if drive.images == 1 or not (together_sure or leaning):
             return results, decision, driven
-        places = _by_place(results.ranking, len(results.views), len(results.views), probability, 0.0)
-        return _led(results, decision, driven, places, together_sure)
+        places = _by_place(results.ranking, count, len(results.views), probability, 0.0)
+        return _led(results, decision, driven, _shown(places, len(results.views)), together_sure)
 
     def _together(
         self, results: RankedResults, probability: Mapping[int, float]
-    ) -> tuple[RankedResults, tuple[PlaceProbability, ...]]:
-        """Results with the views that count, and their places.
+    ) -> tuple[RankedResults, tuple[PlaceProbability, ...], int]:
+        """Results with the views that count, their places, and of how many candidates these are.
 
         Most images are for views that they have already: looking up more takes longer than all the rest.
         """
@@ -176,8 +176,9 @@ class Drives:
         if needed > len(results.views):
             results = self._further(results, needed)
             if needed > len(results.views):
-                posterior = _by_place(ranking, len(results.views), len(results.views), probability)
-        return results, posterior
+                count = len(results.views)
+                posterior = _by_place(ranking, count, count, probability)
+        return results, posterior, count
 
     def _path(self, key: tuple[str, str], timeout_s: float) -> _Path:
         """The drive as it is."""
@@ -222,7 +223,7 @@ def _single(results: RankedResults, decision: Decision) -> Single:
     seqs, order, scores = ranking.seqs[:count], ranking.order[:count], ranking.scores[:count].astype(np.float64)
     best = decision.places[0]
     first = np.zeros(count, np.bool_)
-    first[[view for view in best.views if view < count]] = True
+    first[[view for view in best.views if view < min(count, GROUPED)]] = True
     shared = spread(scores, first, best.probability, decision.levels.gap + SOFTENING)
     ascending = np.argsort(seqs)
     return Single(seqs[ascending], order[ascending], shared[ascending], results.searched)
@@ -231,14 +232,14 @@ def _single(results: RankedResults, decision: Decision) -> Single:
 def _by_place(
     ranking: Ranking, count: int, shown: int, probability: Mapping[int, float], least: float = LISTED
 ) -> tuple[PlaceProbability, ...]:
-    """Probabilities of the first `count` views, added up by place: a place is that of its likeliest view, and its
-    neighbours' count for it, as they are no rivals of it.
+    """Probabilities of the first `count` views, 0 behind `DRIVEN`, added up by place: a place is that of its likeliest
+    view, and its neighbours' count for it, as they are no rivals of it.
 
     Left out are places whose views are all below `least`, unless there is no other, and of the rest such views behind
     the first `shown`.
     """
     seqs = [int(seq) for seq in ranking.seqs[:count]]
-    each = [float(probability.get(seq, 0.0)) for seq in seqs]
+    each = [float(probability.get(seq, 0.0)) if view < DRIVEN else 0.0 for view, seq in enumerate(seqs)]
     left = sorted(range(count), key=lambda view: (-each[view], view))
     places: list[PlaceProbability] = []
     while left and (not places or each[left[0]] >= least):
@@ -248,3 +249,9 @@ def _by_place(
         places.append(PlaceProbability(sum(each[view] for view in near), told))
         left = [view for view in left if view not in near]
     return tuple(sorted(places, key=lambda place: -place.probability))
+
+
+def _shown(places: Sequence[PlaceProbability], count: int) -> tuple[PlaceProbability, ...]:
+    """Places by those of their views that are among the first `count`, without places that have none there."""
+    kept = ((place, tuple(view for view in place.views if view < count)) for place in places)
+    return tuple(replace(place, views=views) for place, views in kept if views)
