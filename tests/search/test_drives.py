@@ -26,6 +26,7 @@ class Results:
     ranking: Any
     views: tuple[int, ...]
     recipe: Any
+    maps: tuple[Any, ...] = (SimpleNamespace(number=1),)
     rival: Any = None
     searched: int = VIEWS
 

@@ -158,6 +158,18 @@ def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:
     assert answer["drive"]["nowhere"] == 1
 
 
+def test_a_map_that_was_made_anew_under_its_name_has_drives_of_its_own(client: CheckedClient) -> None:
+    """Where the robot was before says nothing of where it is: the views are others."""
+    images = []
+    for town in ("mill lane", "castle park"):
+        client.delete("/maps/rebuilt")
+        for ahead in STREET[:2]:
+            sent = photo(scene(town).seen_from(ahead=ahead))
+            assert client.post(f"/enroll?map=rebuilt&place={ahead:g}", content=sent, headers=JPEG).status_code == 201
+        images += [put(client, ahead, map="rebuilt", drive="robot-10")["drive"]["images"] for ahead in STREET[:2]]
+    assert images == [1, 2, 1, 2]
+
+
 @pytest.mark.parametrize("light", [0, 255])
 @pytest.mark.parametrize("more", [{}, {"consistent": 3}])
 def test_images_that_show_nothing_leave_a_drive_as_it_is(

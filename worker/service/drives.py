@@ -71,13 +71,17 @@ class _Path:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A drive's last image: what was known before and after it."""
+    """A drive's last image: what was known before and after it; `of` is the number of its map, and the recipe."""
 
     call: str | None
     before: _Path
     after: _Path
-    recipe: str
+    of: tuple[int, str]
     at: float
+
+    def goes_on(self, of: tuple[int, str], now: float, timeout_s: float) -> bool:
+        """Whether an image that is taken now is the next one: not in another map of the name, or by another recipe."""
+        return self.of == of and now - self.at <= timeout_s
 
 
 class Drives:
@@ -133,19 +137,19 @@ class Drives:
         blank : bool
             The image shows nothing, so it says nothing of where it was taken: the drive is left as it is.
         """
+        of, now = (results.maps[0].number, results.recipe.description.id), self._now()
         if blank or not results.views:
-            path = self._path(key, timeout_s)
+            path = self._path(key, timeout_s, of)
             return results, decision, Driven(path.drive.images, (), decision.status, path.row.images if blank else 0)
         single = _single(results, decision)
-        recipe, now = results.recipe.description.id, self._now()
         with self._lock:
             kept = self._kept.pop(key, None)
             before = _Path(Drive(), Row())
-            if kept is not None and kept.recipe == recipe and now - kept.at <= timeout_s:
+            if kept is not None and kept.goes_on(of, now, timeout_s):
                 before = kept.before if call is not None and call == kept.call else kept.after
             drive, together = follow(before.drive, single)
             row = before.row.followed_by(int(results.ranking.order[0]) if decision.status == "matched" else None)
-            self._kept[key] = _Kept(call, before, _Path(drive, row), recipe, now)
+            self._kept[key] = _Kept(call, before, _Path(drive, row), of, now)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         probability = dict(zip(single.seqs.tolist(), together.tolist(), strict=True))
@@ -180,11 +184,11 @@ class Drives:
                 posterior = _by_place(ranking, count, count, probability)
         return results, posterior, count
 
-    def _path(self, key: tuple[str, str], timeout_s: float) -> _Path:
+    def _path(self, key: tuple[str, str], timeout_s: float, of: tuple[int, str]) -> _Path:
         """The drive as it is."""
         with self._lock:
             kept = self._kept.get(key)
-        return kept.after if kept is not None and self._now() - kept.at <= timeout_s else _Path(Drive(), Row())
+        return kept.after if kept is not None and kept.goes_on(of, self._now(), timeout_s) else _Path(Drive(), Row())
 
 
 def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:

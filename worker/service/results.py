@@ -32,6 +32,8 @@ class SearchedMap:
         Views that were acknowledged and not described yet when the search began.
     keep_queries, keep_matches : int
         How many queries the map keeps that matched nothing, and that matched a view although they look unlike it.
+    number : int
+        Of the map; one that is made or restored under its name has another.
     """
 
     name: str
@@ -40,6 +42,7 @@ class SearchedMap:
     pending: int
     keep_queries: int = 0
     keep_matches: int = 0
+    number: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -237,7 +237,15 @@ class Searcher:
             rival=None if ranked.opposed is None else scored[-1],
             levels=pooled([self._levels_of(record) for record in records]),
             maps=tuple(
-                SearchedMap(record.name, one.revision, one.searched, waiting, record.keep_queries, record.keep_matches)
+                SearchedMap(
+                    record.name,
+                    one.revision,
+                    one.searched,
+                    waiting,
+                    record.keep_queries,
+                    record.keep_matches,
+                    record.number,
+                )
                 for record, one, waiting in zip(records, several, pending, strict=True)
             ),
             recipe=records[0].recipe,
