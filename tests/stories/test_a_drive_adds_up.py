@@ -151,6 +151,18 @@ def test_images_that_must_agree_are_matched_once_enough_in_a_row_do(client: Chec
     assert put(client, sure[0], drive="robot-6", precision=0.5)["drive"]["agreeing"] == 1
 
 
+def test_an_image_for_which_no_view_was_searched_ends_a_row(client: CheckedClient) -> None:
+    """A robot that asks near where it believes to be, and is nowhere near the map for one image."""
+    [sure, *_] = [ahead for ahead in STREET if put(client, ahead, precision=0.5)["status"] == "matched"]
+    wanted = {"drive": "robot-11", "consistent": 2, "precision": 0.5}
+    first = put(client, sure, **wanted)
+    nothing = put(client, sure, place="elsewhere", **wanted)
+    then = [put(client, sure, **wanted) for _ in range(2)]
+    assert [answer["drive"]["agreeing"] for answer in (first, nothing, *then)] == [1, 0, 1, 2]
+    assert [answer["status"] for answer in (nothing, *then)] == ["no_match", "ambiguous", "matched"]
+    assert [answer["drive"]["images"] for answer in (first, nothing, *then)] == [1, 1, 2, 3]
+
+
 def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:
     assert client.put("/maps/empty", json={}).status_code == 201
     answer = put(client, 0.0, map="empty", drive="robot-5")

@@ -139,8 +139,8 @@ class Drives:
         """
         of, now = (results.maps[0].number, results.recipe.description.id), self._now()
         if blank or not results.views:
-            path = self._path(key, timeout_s, of)
-            return results, decision, Driven(path.drive.images, (), decision.status, path.row.images if blank else 0)
+            path = self._path(key, timeout_s, of, ends_row=not blank)
+            return results, decision, Driven(path.drive.images, (), decision.status, path.row.images)
         single = _single(results, decision)
         with self._lock:
             kept = self._kept.pop(key, None)
@@ -184,11 +184,15 @@ class Drives:
                 posterior = _by_place(ranking, count, count, probability)
         return results, posterior, count
 
-    def _path(self, key: tuple[str, str], timeout_s: float, of: tuple[int, str]) -> _Path:
-        """The drive as it is."""
+    def _path(self, key: tuple[str, str], timeout_s: float, of: tuple[int, str], ends_row: bool) -> _Path:
+        """The drive as it is; `ends_row`: after an image that is matched to nothing, since no view was searched."""
         with self._lock:
             kept = self._kept.get(key)
-        return kept.after if kept is not None and kept.goes_on(of, self._now(), timeout_s) else _Path(Drive(), Row())
+            if kept is None or not kept.goes_on(of, self._now(), timeout_s):
+                return _Path(Drive(), Row())
+            if ends_row:
+                kept = self._kept[key] = replace(kept, after=replace(kept.after, row=Row()))
+            return kept.after
 
 
 def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:
