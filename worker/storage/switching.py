@@ -37,14 +37,15 @@ NO_IMAGES = (
 _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
     JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
 )
-_CHANGING = (  # no row for most maps
+# No row for most maps. By the recipe that the map is changing to, or has: a map has a finished job for each view.
+_CHANGING = (
     sa.select(MAPS.c.recipe, MAPS.c.next_recipe, MAPS.c.next_ranking, MAPS.c.shadow, JOBS.c.number)
     .outerjoin(
         JOBS,
         (JOBS.c.map_id == MAPS.c.id)
         & (JOBS.c.kind != "describe")
         & (JOBS.c.state == "running")
-        & JOBS.c.recipe.is_not(None),
+        & (JOBS.c.recipe == sa.func.coalesce(MAPS.c.next_recipe, MAPS.c.recipe)),
     )
     .where(MAPS.c.id == sa.bindparam("of"), JOBS.c.number.is_not(None) | MAPS.c.next_recipe.is_not(None))
 )
