@@ -1,8 +1,10 @@
 """What a store keeps of views that were compared with the other views of their map."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
+import sqlalchemy as sa
 
 from schemas.comparisons import Comparison, KnownView
 from schemas.map_changes import MapChanges
@@ -63,6 +65,33 @@ def test_a_larger_map_waits_until_it_has_doubled(store: SqlStore) -> None:
     later = described(store, "one more")
     assert due(store) == set(later)
     assert store.comparisons.levels("campus").current == SMALL
+
+
+def test_of_many_maps_only_those_that_changed_are_looked_at_again(store: SqlStore) -> None:
+    for i in range(20):
+        for name in ("gate", "pond"):
+            enroll(store, name, map=f"map {i}")
+    describe_all(store)
+    while (found := store.comparisons.uncompared(100, 100)) is not None:
+        store.comparisons.keep(found.map, RECIPE, [compared(seq, found.among) for seq in found.seqs], NOW)
+    statements: list[str] = []
+    count = partial(lambda statements, *event: statements.append(event[2]), statements)
+    sa.event.listen(store._database.engine, "before_cursor_execute", count)
+
+    view = enroll(store, "hall", map="map 7").view
+    describe_all(store)
+    statements.clear()
+    found = store.comparisons.uncompared(100, 100)
+    assert found is not None
+    assert (found.map, view.seq in found.seqs, found.among) == ("map 7", True, 3)
+    assert len(statements) < 10
+    store.comparisons.keep("map 7", RECIPE, [compared(seq, 3) for seq in found.seqs], NOW)
+    statements.clear()
+    assert store.comparisons.uncompared(100, 100) is None
+    assert len(statements) < 10
+
+    store.removals.delete_view(view.id)
+    assert len(due(store)) == 2  # a small map that has other views by now
 
 
 def test_the_only_view_of_a_map_has_nothing_to_be_compared_with(store: SqlStore) -> None:

@@ -43,6 +43,7 @@ class Comparisons(Part):
     def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
         self._levels: OrderedDict[tuple[int, str], MapLevels] = OrderedDict()
+        self._nothing_due: dict[tuple[int, bool], dict[int, int]] = {}  # maps, and at which revision; by the question
 
     def last_revision(self) -> int:
         """The last revision given to any map: while it stays, nothing new is due."""
@@ -60,8 +61,12 @@ class Comparisons(Part):
         busy : bool
             Leave small maps too until they have doubled.
         """
+        known, settled = self._nothing_due.get((sample, busy), {}), dict[int, int]()
         with self._database.reading() as connection:
-            for row in connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.id)):
+            for row in connection.execute(_MAPS):
+                if known.get(row.id) == row.revision:  # of thousands of maps most are as they were
+                    settled[row.id] = row.revision
+                    continue
                 among = connection.scalar(_ready(row)) or 0
                 named = COMPARISONS.c.level.is_(None) | COMPARISONS.c.rival.is_not(None)  # since migration 0010
                 broad = COMPARISONS.c.gap.is_(None) | COMPARISONS.c.breadth.is_not(None)  # since migration 0017
@@ -69,6 +74,7 @@ class Comparisons(Part):
                 done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
                 left = min(count, min(among, sample) - done)
                 if among < 2 or left <= 0:
+                    settled[row.id] = row.revision
                     continue
                 made = sa.exists().where(COMPARISONS.c.seq == DESCRIPTIONS.c.seq, *fresh)
                 due = (
@@ -77,7 +83,9 @@ class Comparisons(Part):
                     .order_by(draw_order(DESCRIPTIONS.c.seq))
                     .limit(left)
                 )
+                self._nothing_due[sample, busy] = known | settled
                 return Uncompared(row.name, row.recipe, tuple(connection.scalars(due)), among)
+        self._nothing_due[sample, busy] = settled
         return None
 
     def keep(self, name: str, by: MapRecipe, comparisons: Sequence[Comparison], now: datetime) -> None:
@@ -168,6 +176,13 @@ class Comparisons(Part):
                     found[row.seq] = KnownView(known.place, known.position, _same_spot(row))
         self._quarantine.views(damaged)
         return found
+
+
+_MAPS: sa.Select[Any] = (
+    sa.select(MAPS.c.id, MAPS.c.name, MAPS.c.recipe, MAPS.c.revision)
+    .where(MAPS.c.name.is_not(None))
+    .order_by(MAPS.c.id)
+)
 
 
 def _of(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
