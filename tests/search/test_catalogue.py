@@ -20,6 +20,9 @@ class Store:
         self.record = MapRecord("campus", 1, RECIPE.description, RECIPE.ranking, NOW)
         self._changes = changes
 
+    def numbers(self) -> set[int]:
+        return {self.record.number}
+
     def get(self, name: str) -> MapRecord:
         return self.record
 

@@ -62,3 +62,16 @@ def test_a_connection_that_is_cut_while_vectors_are_added_is_made_anew(
     vectors = drawn(draw)
     assert_same(memory.search(vectors, 5, Filters()), database.search(vectors, 5, Filters()))
     assert len(cut) == 1
+
+
+def test_nothing_is_known_any_more_of_maps_that_were_deleted_elsewhere(nodes: tuple[Node, Node, Node]) -> None:
+    _, database, other = nodes
+    draw = np.random.default_rng(0)
+    for _ in range(3):
+        enroll(other.store, "gate")
+        describe_all(other.store, draw)
+        assert database.search(drawn(draw), 1, Filters()).searched == 1
+        other.store.removals.delete_map("campus")
+    vectors = database.store.vectors
+    assert vectors is not None
+    assert len(vectors._members._known) == 1

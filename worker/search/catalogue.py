@@ -82,6 +82,7 @@ class Catalogue:
                     or held.index.revision > record.revision  # which never goes back, but by damage or a backup
                 ):
                     held = self._taken(name, record) or _Held(self._make(record.description), record.number)
+                    self._forget_deleted()
                 if held.index.revision < record.revision:
                     changes = self._descriptions.since(name, held.index.revision)
                     if changes.recipe != held.index.recipe:
@@ -170,6 +171,14 @@ class Catalogue:
     def recalls(self) -> dict[str, float]:
         """Nothing: every search is exact."""
         return {}
+
+    def _forget_deleted(self) -> None:
+        """Drop the indexes of maps that another process deleted, which tells nobody; done when one is added."""
+        present = self._maps.numbers()
+        with self._lock:
+            for held in (self._indexes, self._prepared):
+                for name in [name for name, one in held.items() if one.number not in present]:
+                    held.pop(name, None)
 
     def forget(self, name: str) -> None:
         """Drop the indexes of a deleted map."""

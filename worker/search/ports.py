@@ -153,6 +153,10 @@ class VectorReader(Protocol):
 class MapReader(Protocol):
     """Maps by name."""
 
+    def numbers(self) -> set[int]:
+        """The numbers of all maps that there are."""
+        ...
+
     def get(self, name: str) -> MapRecord:
         """One map; raises NotFound."""
         ...

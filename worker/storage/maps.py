@@ -59,6 +59,11 @@ class Maps(Part):
                 log.error("map %s is left out of the list: %s", row.name, error.detail)
         return records
 
+    def numbers(self) -> set[int]:
+        """The numbers of all maps, of which a deleted one's is given to no other."""
+        with self._database.reading() as connection:
+            return set(connection.scalars(sa.select(MAPS.c.id).where(MAPS.c.name.is_not(None))))
+
     def get(self, name: str) -> MapRecord:
         """One map; raises NotFound."""
         with self._database.reading() as connection:

@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from schemas.records import Sequence64
 from worker.storage.rows import batches
 from worker.storage.tables import DESCRIPTIONS, TOMBSTONES
-from worker.storage.vector_tables import SEARCHED_VECTORS
+from worker.storage.vector_tables import SEARCHED_MAPS, SEARCHED_VECTORS
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,10 @@ class Members:
             later = TOMBSTONES.c.map_id == row.id, TOMBSTONES.c.revision > known.deleted
             gone = _array(connection.scalars(sa.select(TOMBSTONES.c.seq).where(*later)))
             seqs = np.union1d(np.setdiff1d(known.seqs, gone), _added(connection, row.id, held, known.revision))
+        present = None if held.id in self._known else set(connection.scalars(sa.select(SEARCHED_MAPS.c.id)))
         with self._lock:
+            if present is not None:  # those of maps that were deleted, or left their recipe, go
+                self._known = {one: known for one, known in self._known.items() if one in present}
             self._known[held.id] = _Known(int(held.revision), int(row.revision), int(row.anew), seqs)
         return seqs
 
