@@ -114,6 +114,18 @@ def test_a_call_is_told_of_a_view_that_is_about_to_be_taken_back(store: SqlStore
         store.removals.delete_view(view.id, undoes=True)
 
 
+def test_an_enrolment_that_was_described_meanwhile_is_not_taken_back(store: SqlStore) -> None:
+    """Its call was about to be answered that nothing can be stored; another one found the view described."""
+    view = enroll(store, "gate").view
+    describe_all(store)
+    again = enroll(store, "gate")
+    assert (again.created, again.view.state) == (False, "ready")
+
+    with pytest.raises(Conflict, match="described meanwhile"):
+        store.removals.delete_view(view.id, undoes=True)
+    assert store.views.get(view.id).state == "ready"
+
+
 def test_an_import_that_goes_on_takes_its_own_back(store: SqlStore) -> None:
     def submit(name: str, background: bool) -> ViewRecord:
         body = image(name)

@@ -60,7 +60,7 @@ class Removals(Part):
         """Remove a view completely; raises NotFound.
 
         `undoes`: an enrolment is taken back that nobody was told of, so that an import may bring its image; raises
-        Conflict where a further call was told of the view, which stays.
+        Conflict where a further call was told of the view, or may have been since it is described: it stays.
         """
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
@@ -200,8 +200,8 @@ class Removals(Part):
         """Delete views of a map, and what `answers` that are kept tell of them, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
-            if undoes and connection.scalar(sa.select(JOBS.c.id).where(JOBS.c.seq.in_(seqs), JOBS.c.told).limit(1)):
-                raise Conflict("another call was told of this view")
+            if undoes:
+                _refuse_known(connection, seqs)
             which = VIEWS.c.seq.in_(seqs)
             columns = VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256, VIEWS.c.sent_sha256
             rows = list(connection.execute(sa.select(*columns).where(which)))
@@ -259,6 +259,14 @@ _DESCRIBED = (
     .join(MAPS, MAPS.c.id == DESCRIPTIONS.c.map_id)
     .where(DESCRIPTIONS.c.seq.in_(sa.bindparam("seqs", expanding=True)))
 )
+
+
+def _refuse_known(connection: sa.Connection, seqs: Sequence[int]) -> None:
+    """Raise Conflict where others were told of one of these views, or may have been: searches find described ones."""
+    if connection.scalar(sa.select(JOBS.c.id).where(JOBS.c.seq.in_(seqs), JOBS.c.told).limit(1)):
+        raise Conflict("another call was told of this view")
+    if connection.scalar(sa.select(VIEWS.c.id).where(VIEWS.c.seq.in_(seqs), VIEWS.c.state == "ready").limit(1)):
+        raise Conflict("this view was described meanwhile")
 
 
 def _take_name(connection: sa.Connection, map_id: int) -> None:
