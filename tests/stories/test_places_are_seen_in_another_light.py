@@ -9,10 +9,12 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
+from schemas.errors import Busy
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from tests.stories.running import settings
 from worker.runtime import build
+from worker.service.enroll import Enrolled, EnrollService
 
 JPEG = {"content-type": "image/jpeg"}
 PLACES = ("mill lane", "station road", "rose garden", "old harbour")
@@ -177,3 +179,24 @@ def test_a_place_takes_ten_views_from_proposals_and_no_more(town: Town, monkeypa
     refused = town.accept(road, unconfirmed=True)
     assert (refused.status_code, "as many as are taken" in refused.json()["detail"]) == (409, True)
     assert town.client.delete(f"/views/{view['id']}").status_code == 200
+
+
+def test_a_proposal_that_was_refused_half_way_is_taken_when_it_is_sent_again(
+    town: Town, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    town.set(keep_matches=10)
+    for dx in (0.85, 0.45):
+        town.at_night("old harbour", dx)
+    [harbour] = town.proposals()["proposals"]
+    take, images = EnrollService.take, iter(range(9))
+
+    def full_once(self: EnrollService, *of: Any) -> Enrolled:
+        if next(images) == 1:
+            raise Busy.queue(64, 0.5, "enrolments")
+        return take(self, *of)
+
+    monkeypatch.setattr(EnrollService, "take", full_once)
+    assert town.accept(harbour, unconfirmed=True).status_code == 429
+    taken = town.accept(harbour, unconfirmed=True).json()
+    assert [view["metadata"]["proposed_by"] for view in taken["views"]] == harbour["queries"]
+    assert (taken["queries"], town.proposals()["proposals"]) == (2, [])

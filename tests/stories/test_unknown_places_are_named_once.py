@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 import sqlalchemy as sa
 
 from app.http.application import create_app
+from schemas.errors import Busy
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
 from tests.stories.running import settings
 from worker.runtime import Runtime, build
+from worker.service.enroll import Enrolled, EnrollService
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.tables import KEPT_QUERIES
 
@@ -127,6 +130,31 @@ def test_a_map_that_is_deleted_while_its_place_is_named_stays_deleted(
     answer = town.client.post(f"/maps/town/unknown/{dock['id']}", json={"place": "dock"})
     assert (answer.status_code, answer.json()["type"]) == (404, "urn:revisit:problem:not-found")
     assert town.client.get("/maps").json() == {"maps": []}
+
+
+def test_a_name_that_was_refused_half_way_is_taken_when_it_is_sent_again(
+    town: Town, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    town.keep(10)
+    for quality in (92, 80, 70):
+        assert town.query("dock", quality) == "no_match"
+    [dock] = town.unknown()["places"]
+    take, images = EnrollService.take, iter(range(9))
+
+    def full_once(self: EnrollService, *of: Any) -> Enrolled:
+        if next(images) == 1:
+            raise Busy.queue(64, 0.5, "enrolments")
+        return take(self, *of)
+
+    monkeypatch.setattr(EnrollService, "take", full_once)
+    name = partial(town.client.post, f"/maps/town/unknown/{dock['id']}", json={"place": "dock"})
+    assert name().status_code == 429
+    assert [one["id"] for one in town.unknown()["places"]] == [dock["id"]]
+
+    named = name().json()
+    assert (len({view["id"] for view in named["views"]}), named["queries"]) == (3, 3)
+    wait_until_described(town, len(KNOWN) + 3)
+    assert town.unknown()["places"] == []
 
 
 def wait_until_described(town: Town, views: int) -> None:

@@ -72,8 +72,8 @@ class InboxService:
     def name(self, name: str, place_id: str, attributes: ViewAttributes) -> tuple[list[Enrolled], int]:
         """Enrol images of an unknown place as views with these attributes, and remove its queries.
 
-        Returns the views, which are described in the background, and the number of queries removed. Each query is
-        removed after its image is durable as a view: repeated after a crash, the call goes on where it stopped.
+        Returns the views, which are described in the background, and the number of queries removed. These are removed
+        once all images are durable as views: repeated after a refusal half way, or a crash, the call goes on.
 
         Raises
         ------
@@ -81,11 +81,8 @@ class InboxService:
         """
         place = self._find(name, place_id)
         chosen = spread(place.queries, ENROLLED)
-        enrolled = []
-        for query_id in chosen:
-            enrolled.append(self._enroll.take(self._kept.image(name, query_id), name, attributes))
-            self._kept.delete(name, [query_id])
-        return enrolled, len(chosen) + self._kept.delete(name, [one for one in place.queries if one not in chosen])
+        enrolled = [self._enroll.take(self._kept.image(name, query_id), name, attributes) for query_id in chosen]
+        return enrolled, self._kept.delete(name, place.queries)
 
     def dismiss(self, name: str, place_id: str) -> int:
         """Remove the queries of an unknown place; returns how many; raises NotFound."""

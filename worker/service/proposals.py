@@ -65,8 +65,8 @@ class ProposalService:
         """Enrol images of a proposal as views of its place, and remove its queries.
 
         Returns the views, which are described in the background, and the number of queries removed. Each has the place
-        and the position of the view that it matched, and its query under `ADDED_FROM` in its metadata. A query is
-        removed after its image is durable as a view: repeated after a crash, the call goes on where it stopped.
+        and the position of the view that it matched, and its query under `ADDED_FROM` in its metadata. Queries are
+        removed once all images are durable as views: repeated after a refusal half way, or a crash, the call goes on.
 
         Parameters
         ----------
@@ -91,8 +91,8 @@ class ProposalService:
         room = MOST_ADDED - self._added(name, proposal)
         if room <= 0:
             raise Conflict(f"the place has {MOST_ADDED} views from proposals, as many as are taken; delete some")
-        enrolled, chosen = [], spread(choice, min(most, room))
-        for query_id in chosen:
+        enrolled = []
+        for query_id in spread(choice, min(most, room)):
             attributes = self._views.get(proposal.matched[query_id]).attributes
             given = ViewAttributes(attributes.place, attributes.position, metadata={ADDED_FROM: query_id})
             try:
@@ -101,8 +101,7 @@ class ProposalService:
                 raise
             except Conflict:  # one photo that was queried twice: the map has it since the first
                 log.info("the image of query %s is a view of the map %s already", query_id, name)
-            self._kept.delete(name, [query_id])
-        return enrolled, len(chosen) + self._kept.delete(name, [one for one in proposal.queries if one not in chosen])
+        return enrolled, self._kept.delete(name, proposal.queries)
 
     def dismiss(self, name: str, proposal_id: str) -> int:
         """Remove the queries of a proposal; returns how many; raises NotFound."""
