@@ -67,6 +67,58 @@ def test_a_larger_map_waits_until_it_has_doubled(store: SqlStore) -> None:
     assert store.comparisons.levels("campus").current == SMALL
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_small_map_is_compared_again_when_a_view_gets_another_place_or_makes_room(
+    store: SqlStore, replaced: bool
+) -> None:
+    """The same views give the same verdicts, however they came to their places."""
+    seqs = described(store, "gate", "pond", "hall")
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 3) for seq in seqs], NOW)
+    first = store.views.at(seqs)[seqs[0]]
+    if replaced:
+        store.removals.delete_view(first.id)
+        seqs = [*seqs[1:], *described(store, "stairs")]
+    else:
+        store.views.change(first.id, lambda attributes: replace(attributes, metadata={"floor": 1}))
+        store.comparisons.keep("campus", RECIPE, [compared(seqs[0], 3)], NOW)
+        assert due(store) == set()  # it is where it was
+        store.views.change(first.id, lambda attributes: replace(attributes, place="gate"))
+    assert due(store) == set(seqs)
+    levels = store.comparisons.levels("campus")
+    assert (levels.compared, levels.current) == (2, 0)  # what was compared before counts until then
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 3) for seq in seqs], NOW)
+    assert due(store) == set()
+
+
+def test_a_larger_map_compares_again_what_took_a_view_for_another_place_that_moved_or_went(store: SqlStore) -> None:
+    seqs = described(store, *(f"view {i}" for i in range(SMALL + 3)))
+    moved, went = seqs[0], seqs[1]
+    rivals = {seqs[5]: moved, seqs[6]: went}
+    rows = [replace(compared(seq, len(seqs)), rival=rivals.get(seq, seqs[9])) for seq in seqs]
+    store.comparisons.keep("campus", RECIPE, rows, NOW)
+    assert due(store) == set()
+
+    views = store.views.at(seqs)
+    store.views.change(views[moved].id, lambda attributes: replace(attributes, position=Position(x=1, y=2)))
+    assert due(store) == {moved, seqs[5]}
+    store.removals.delete_view(views[went].id)
+    assert due(store) == {moved, seqs[5], seqs[6]}
+
+
+def test_what_was_compared_while_a_view_got_another_place_or_went_is_not_kept(store: SqlStore) -> None:
+    first, second, third = described(store, "gate", "pond", "hall")
+    revision = store.maps.revision("campus")
+    of = store.views.at([first, second])
+    store.views.change(of[first].id, lambda attributes: replace(attributes, place="gate"))
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 3) for seq in (first, second)], NOW, revision)
+    assert due(store) == {first, second, third}
+
+    store.removals.delete_view(of[second].id)
+    late = [replace(compared(third, 3), rival=second), compared(first, 2)]
+    store.comparisons.keep("campus", RECIPE, late, NOW, store.maps.revision("campus"))
+    assert due(store) == {third}
+
+
 def test_of_many_maps_only_those_that_changed_are_looked_at_again(store: SqlStore) -> None:
     for i in range(20):
         for name in ("gate", "pond"):
@@ -174,7 +226,7 @@ def test_a_view_that_moved_is_compared_again_and_a_deleted_one_is_forgotten(stor
     store.comparisons.keep("campus", RECIPE, [compared(one, 2), compared(two, 2)], NOW)
     ids = {seq: view.id for seq, view in store.views.at([one, two]).items()}
     store.views.change(ids[one], lambda now: replace(now, place="elsewhere"))
-    assert due(store) == {one}
+    assert due(store) == {one, two}
     store.removals.delete_view(ids[two])
     store.comparisons.keep("campus", RECIPE, [compared(two, 2)], NOW)  # finished after the deletion
     assert store.comparisons.levels("campus").compared == 0

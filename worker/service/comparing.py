@@ -59,8 +59,11 @@ class ComparisonStore(ComparisonReader, Protocol):
         """Up to `count` views, of one map, that should be compared, or None; `busy`: only what cannot wait."""
         ...
 
-    def keep(self, name: str, by: MapRecipe, comparisons: list[Comparison], now: datetime) -> None:
-        """Store comparisons, unless the map no longer scores by this recipe and ranking."""
+    def keep(
+        self, name: str, by: MapRecipe, comparisons: list[Comparison], now: datetime, as_of: int | None = None
+    ) -> None:
+        """Store comparisons, unless the map no longer scores by this recipe and ranking, or views of it were given to
+        other places since its revision `as_of`."""
         ...
 
 
@@ -129,7 +132,8 @@ class MapComparer:
             made.append(self._attempt(seq, index, record.description, record.ranking, due.among))
             if rest(0):
                 break
-        self._comparisons.keep(due.map, record.recipe, [one for one in made if one is not None], datetime.now(UTC))
+        kept = [one for one in made if one is not None]
+        self._comparisons.keep(due.map, record.recipe, kept, datetime.now(UTC), record.revision)
         rest(time.monotonic() - began)
         return True
 

@@ -37,6 +37,18 @@ DECIMALS = 12
 """Of means. A database adds rows in any order, in which their last bits differ; the same views get the same answers."""
 
 
+def outdate(connection: sa.Connection, map_id: int, seqs: Sequence[int]) -> None:
+    """Have views of a map compared again that were compared with views which are about to be deleted, or given to
+    another place: all of a small map, else those that took one of these for another place. Theirs counts until then."""
+    by_own = (DESCRIPTIONS.c.map_id == MAPS.c.id) & (DESCRIPTIONS.c.recipe == MAPS.c.recipe)
+    some = sa.select(DESCRIPTIONS.c.seq).join(MAPS, by_own).where(MAPS.c.id == map_id).limit(SMALL + 1).subquery()
+    count = connection.scalar(sa.select(sa.func.count()).select_from(some)) or 0
+    mine = sa.update(COMPARISONS).where(COMPARISONS.c.map_id == map_id)
+    for portion in batches(seqs):
+        affected = COMPARISONS.c.among == count if count <= SMALL else COMPARISONS.c.rival.in_(portion)
+        connection.execute(mine.where(affected).values(among=0))
+
+
 class Comparisons(Part):
     """What views find when their own map is queried with them, and what is known of views besides their images."""
 
@@ -88,9 +100,12 @@ class Comparisons(Part):
         self._nothing_due[sample, busy] = settled
         return None
 
-    def keep(self, name: str, by: MapRecipe, comparisons: Sequence[Comparison], now: datetime) -> None:
+    def keep(
+        self, name: str, by: MapRecipe, comparisons: Sequence[Comparison], now: datetime, as_of: int | None = None
+    ) -> None:
         """Store comparisons; those of views that were deleted or described anew are left out, and all of them when the
-        map was deleted, or has another ranking by now than the one in `by`, whose scores they are made of.
+        map was deleted, or has another ranking by now than the one in `by`, whose scores they are made of, or when a
+        view was given to another place since the map's revision `as_of`.
 
         Those by the map's recipe count from its next revision on, those by the recipe of its shadow from the switch on.
         """
@@ -98,12 +113,12 @@ class Comparisons(Part):
         with self._database.writing() as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
             rankings = {} if row is None else {row.next_recipe: row.next_ranking, row.recipe: row.ranking}
-            if row is None or recipe not in rankings:
+            if row is None or recipe not in rankings or (as_of is not None and row.edited > as_of):
                 return
             present = MapRecipe(description=by.description, ranking=ranking_of(rankings[recipe]))
             if not switching.scores_alike(by, present):
                 return
-            seqs = [one.seq for one in comparisons]
+            seqs = [seq for one in comparisons for seq in (one.seq, one.rival) if seq is not None]
             own = DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == recipe
             there = sa.select(DESCRIPTIONS.c.seq).where(*own, DESCRIPTIONS.c.seq.in_(seqs))
             left = set(connection.scalars(there))
@@ -123,10 +138,10 @@ class Comparisons(Part):
                     "breadth": one.breadth,
                 }
                 for one in comparisons
-                if one.seq in left
+                if one.seq in left and (one.rival is None or one.rival in left)
             ]
             if rows:
-                old = COMPARISONS.c.recipe == recipe, COMPARISONS.c.seq.in_(left)
+                old = COMPARISONS.c.recipe == recipe, COMPARISONS.c.seq.in_([one["seq"] for one in rows])
                 connection.execute(sa.delete(COMPARISONS).where(*old))
                 connection.execute(sa.insert(COMPARISONS), rows)
                 if recipe == row.recipe:

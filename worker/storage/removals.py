@@ -14,6 +14,7 @@ from schemas.records import Filters
 from schemas.removal import Holding, Removal
 from worker.storage import clock, deleted_images, forgetting, switching
 from worker.storage.answers import Answers
+from worker.storage.comparisons import outdate
 from worker.storage.damage import bury
 from worker.storage.database import Database
 from worker.storage.filtering import fitting
@@ -214,6 +215,7 @@ class Removals(Part):
                 # SQLite adds no reference to a table that is there.
                 queries = connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs))).rowcount
                 scores = connection.execute(sa.delete(DAY_SCORES).where(DAY_SCORES.c.seq.in_(seqs))).rowcount
+                outdate(connection, map_id, seqs)
                 connection.execute(sa.delete(VIEWS).where(which))
                 answers.forget(connection, [row.id for row in rows])
                 if not undoes:

@@ -11,6 +11,7 @@ from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
 from worker.storage.answers import tell_changed
+from worker.storage.comparisons import outdate
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
@@ -19,6 +20,7 @@ from worker.storage.packing import unpack_floats
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
 from worker.storage.rows import (
+    COORDINATES,
     VIEW_STATES,
     as_json,
     attribute_columns,
@@ -166,6 +168,8 @@ class Views(Part):
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**sealed))
                 keep_pairs(connection, before.seq, attributes)
                 connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
+                if not had.keys().isdisjoint(("place", *COORDINATES)):
+                    outdate(connection, before.map_id, [before.seq])
                 clock.tick_edited(connection, before.map_id)
                 if any(was not in (None, NO_METADATA) for was in had.values()):
                     tell_changed(connection, view_id, attributes)
