@@ -1,18 +1,21 @@
-"""What is done for one view of a map takes no longer where the map has many: counted in steps of SQLite's machine."""
+"""What is done for one view takes no longer where there are many: counted in steps of SQLite's machine."""
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 from uuid6 import uuid7
 
+from schemas.records import ViewAttributes
 from tests.storage.databases import put_tables, sqlite_url
 from tests.storage.material import NOW, RECIPE, enroll, finish
 from worker.storage.rows import find_map
 from worker.storage.store import SqlStore, open_store
-from worker.storage.tables import JOBS
+from worker.storage.tables import CALLS, JOBS
 
 MANY = 3000
 
@@ -41,6 +44,37 @@ def steps(store: SqlStore, work: Callable[[], object]) -> int:
     return count
 
 
+def steps_in_turn(store: SqlStore, work: Callable[[], object]) -> int:
+    """The same, of what is done while nobody else may write."""
+    count = 0
+
+    def counted() -> int:
+        nonlocal count
+        count += 1
+        return 0
+
+    def watch(connection: sa.Connection) -> None:
+        raw: Any = connection.connection.dbapi_connection
+        raw.set_progress_handler(counted if connection.get_execution_options().get("writes") else None, STEP)
+
+    engine = store._database.engine
+    sa.event.listen(engine, "begin", watch)
+    try:
+        work()
+    finally:
+        sa.event.remove(engine, "begin", watch)
+    return count
+
+
+def have_answered(store: SqlStore, count: int) -> None:
+    """Leave the answers to so many calls, which tell of other views."""
+    now = datetime.now(UTC)
+    told = {"fingerprint": "", "begun_at": now - timedelta(hours=1), "finished_at": now, "status": 201, "headers": "{}"}
+    with store._database.writing() as connection:
+        rows = [{"key": str(uuid7()), "body": f'{{"view": {{"id": "{uuid7()}"}}}}'.encode()} for _ in range(count)]
+        connection.execute(sa.insert(CALLS).values(**told), rows)
+
+
 def have_described(store: SqlStore, count: int) -> None:
     """Leave the finished jobs of so many views."""
     with store._database.writing() as connection:
@@ -67,3 +101,17 @@ def test_a_view_is_enrolled_described_and_deleted_as_quickly_among_many(data: Pa
         few = measured("among few")
         have_described(store, MANY)
         assert all(many < 1.2 * one for many, one in zip(measured("among many"), few, strict=True))
+
+
+def test_a_view_is_changed_while_others_write_however_many_answers_are_kept(data: Path) -> None:
+    put_tables(data)
+    with closing(open_store(sqlite_url(data), data)) as store:
+        view = enroll(store, "gate", attributes=ViewAttributes("east")).view
+
+        def measured(place: str) -> int:
+            return steps_in_turn(store, lambda: store.views.change(view.id, lambda has: replace(has, place=place)))
+
+        measured("north")
+        few = measured("west")
+        have_answered(store, MANY)
+        assert 0 < measured("south") < 1.2 * few

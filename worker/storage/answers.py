@@ -46,9 +46,9 @@ _VIEW = re.compile(f"(?:view |view '|views/|as )({_ID.pattern})")
 
 
 class Answers:
-    """Answers that are kept and tell of some views, found before these are deleted in portions.
+    """Answers that are kept and tell of some views, found before these are changed, or deleted in portions.
 
-    All of a day are looked through, once; with each portion only those of calls that ended since.
+    All of a day are looked through, once, while others write; in the transactions only those of calls that ended since.
 
     Parameters
     ----------
@@ -73,20 +73,17 @@ class Answers:
 
     def forget(self, connection: sa.Connection, views: Collection[str]) -> None:
         """Leave of views, which a transaction that writes in turn deletes, nothing but their ids."""
+        self.tell(connection, dict.fromkeys(views))
+
+    def tell(self, connection: sa.Connection, views: Now) -> None:
+        """Tell of views, which a transaction that writes in turn changes, what they have now, and nothing they had."""
         keys = {key for view in views for key in self._telling.get(view, ())}
         since = [CALLS.c.begun_at >= self._since]
         since += [CALLS.c.key.in_(portion) for portion in batches(self._running)]
         for ended in since:
             keys |= {key for key, _ in _telling(connection, set(views), ended)}
         for portion in batches(keys):
-            _retell(connection, portion, dict.fromkeys(views))
-
-
-def tell_changed(connection: sa.Connection, view_id: str, attributes: ViewAttributes) -> None:
-    """Have the answers that are kept to be repeated tell of a view what it has now, and nothing that it had."""
-    keys = [key for key, _ in _telling(connection, {view_id})]
-    for portion in batches(keys):
-        _retell(connection, portion, {view_id: attributes})
+            _retell(connection, portion, views)
 
 
 def as_now(connection: sa.Connection, body: bytes, ids: Collection[str]) -> bytes:

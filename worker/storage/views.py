@@ -10,7 +10,7 @@ from schemas.description import Floats
 from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
-from worker.storage.answers import tell_changed
+from worker.storage.answers import Answers
 from worker.storage.comparisons import outdate
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
@@ -157,6 +157,15 @@ class Views(Part):
         Answers that are kept to be repeated tell nothing any more of what it had. When `change` raises, the view stays
         as it was.
         """
+        try:
+            return self._change(view_id, change, None)
+        except _AnswersUnread:
+            return self._change(view_id, change, Answers(self._database, [view_id]))
+
+    def _change(
+        self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes], answers: Answers | None
+    ) -> ViewRecord:
+        """As `change`; raises _AnswersUnread where `answers` that tell of the view are needed."""
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
             if not has_whole_attributes(before):
@@ -172,7 +181,9 @@ class Views(Part):
                     outdate(connection, before.map_id, [before.seq])
                 clock.tick_edited(connection, before.map_id)
                 if any(was not in (None, NO_METADATA) for was in had.values()):
-                    tell_changed(connection, view_id, attributes)
+                    if answers is None:
+                        raise _AnswersUnread
+                    answers.tell(connection, {view_id: attributes})
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
@@ -196,6 +207,10 @@ class Views(Part):
                 find_view(connection, view_id)  # else it was deleted between row and file
             log.error("view %s: %s", view_id, error.detail)
             raise
+
+
+class _AnswersUnread(Exception):
+    """A change is to be told in the answers that are kept: these are looked through before, while others write."""
 
 
 def _last_rank(cursor: str) -> tuple[float, int]:
