@@ -154,8 +154,7 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
 def announce(runtime: "Runtime", url: str) -> None:
     """Print the address, the encoder, the data folder and the number of views."""
     settings = runtime.settings
-    maps = runtime.store.maps.all()
-    counts = [runtime.store.maps.counts(record.name) for record in maps]
+    counts = runtime.store.maps.counts_of_all().values()
     views = sum(count.views.get("ready", 0) for count in counts)
     pending = sum(count.views.get("pending", 0) for count in counts)
     waiting = f", {pending} waiting to be described" if pending else ""
@@ -163,7 +162,7 @@ def announce(runtime: "Runtime", url: str) -> None:
         f"revisit serves at {url}",
         f"  encoder   {runtime.encoder.name} on {settings.device}, preset {settings.preset}",
         f"  data      {settings.data.resolve()}",
-        f"  enrolled  {views} views in {len(maps)} maps{waiting}",
+        f"  enrolled  {views} views in {len(counts)} maps{waiting}",
         f"  console   {url}/      documentation {url}/docs",
         f"  try       curl -F image=@photo.jpg {url}/enroll",
     ]

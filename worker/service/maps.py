@@ -22,6 +22,7 @@ from worker.method.own_calibration import OwnCalibration
 from worker.search.ports import Catalogue
 from worker.service.blurring import Blurring
 from worker.service.calibrating import own_calibration
+from worker.service.known_levels import KnownLevels
 from worker.service.ports import Comparisons, Jobs, Maps, Removals, UploadRemoval
 from worker.service.trouble import STORAGE_ERRORS
 
@@ -80,16 +81,16 @@ class MapService:
         wake: Callable[[], None],
     ) -> None:
         self._maps, self._removals, self._jobs, self._uploads = maps, removals, jobs, uploads
-        self._comparisons, self._shipped = comparisons, shipped
+        self._levels, self._shipped = KnownLevels(comparisons), shipped
         self._encoder, self._describers, self._catalogue = encoder, describers, catalogue
         self._preset, self._blurring, self._wake = preset, blurring, wake
 
     def all(self) -> list[MapState]:
         """All maps, sorted by name; without those that are deleted while they are counted."""
-        states = []
+        states, counts = [], self._maps.counts_of_all()
         for record in self._maps.all():
             with suppress(NotFound):
-                states.append(self._state(record))
+                states.append(self._state(record, counts.get(record.name)))
         return states
 
     def get(self, name: str) -> MapState:
@@ -262,7 +263,7 @@ class MapService:
         self._wake()
         return job
 
-    def _state(self, record: MapRecord) -> MapState:
+    def _state(self, record: MapRecord, counts: MapCounts | None = None) -> MapState:
         labels = record.description.labels
         if self._is_own(record.description):
             meanings = tuple(self._encoder.meanings(labels))
@@ -270,7 +271,7 @@ class MapService:
         else:  # of an encoder that is not running, for which the preset may be another one
             meanings = tuple(Meaning(label, (), trained=False) for label in labels)
             differences = ()
-        counts, levels = self._maps.counts(record.name), self._comparisons.levels(record.name)
+        counts, levels = counts or self._maps.counts(record.name), self._levels.of(record)
         own = None if record.calibration is None else own_calibration(record.calibration)
         calibration = self._shipped(record.recipe) if own is None else own.calibration
         return MapState(record, counts, levels, calibration, own, meanings, differences)

@@ -44,6 +44,10 @@ class Maps(Protocol):
         """Size of a map; raises NotFound."""
         ...
 
+    def counts_of_all(self) -> dict[str, MapCounts]:
+        """Sizes of all maps by their names."""
+        ...
+
     def change(self, name: str, changes: MapChanges) -> MapRecord:
         """Change settings of a map in one transaction; raises NotFound, Conflict, and what `changes.ranking` raises."""
         ...

@@ -2,12 +2,10 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
 from itertools import takewhile
 
 import numpy as np
 
-from schemas.comparisons import MapLevels
 from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
@@ -25,6 +23,7 @@ from worker.search.fetcher import Fetcher
 from worker.search.merging import merged
 from worker.search.ports import Catalogue, DescriptionReader, Selecting
 from worker.service.caller import Caller
+from worker.service.known_levels import KnownLevels
 from worker.service.ports import Comparisons, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView, SearchedMap, SearchOutcome
 from worker.service.stopwatch import Stopwatch
@@ -72,7 +71,7 @@ class Searcher:
         self._descriptions, self._comparisons, self._queue = descriptions, comparisons, queue
         self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
         self._calibration, self._product = calibration, product
-        self._levels: dict[str, tuple[tuple[datetime, int, str], MapLevels]] = {}
+        self._levels = KnownLevels(comparisons)
 
     def describer(self, map_name: str) -> Describer:
         """The describer of a map's recipe; raises NotFound."""
@@ -235,7 +234,7 @@ class Searcher:
             query=query,
             ranking=ranked,
             rival=None if ranked.opposed is None else scored[-1],
-            levels=pooled([self._levels_of(record) for record in records]),
+            levels=pooled([self._levels.of(record) for record in records]),
             maps=tuple(
                 SearchedMap(
                     record.name,
@@ -262,15 +261,6 @@ class Searcher:
         return replace(
             results, views=(*results.views, *(ScoredView(**vars(one), view=views[one.seq]) for one in there))
         )
-
-    def _levels_of(self, record: MapRecord) -> MapLevels:
-        """What wrong answers get in a map; read once for each revision."""
-        kept = self._levels.get(record.name)
-        if kept is None or kept[0] != (record.created_at, record.revision, record.description.id):
-            levels = self._comparisons.levels(record.name, record.description.id)
-            kept = (record.created_at, levels.revision, record.description.id), levels
-            self._levels[record.name] = kept
-        return kept[1]
 
 
 def _kind(record: MapRecord) -> tuple[str, str, str | None]:

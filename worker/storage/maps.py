@@ -1,6 +1,7 @@
 """Maps: created, counted, given another recipe."""
 
 from datetime import datetime
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -26,6 +27,43 @@ from worker.storage.rows import (
 from worker.storage.tables import MAPS, RECIPES, VIEWS
 
 STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
+
+
+_AXES = COORDINATES[:-1]
+"""A box has no heading."""
+
+# Counted by itself: an index answers it without reading views.
+_PLACES = sa.func.count(sa.distinct(VIEWS.c.place))
+
+
+def _totals(connection: sa.Connection) -> list[sa.Label[Any]]:
+    """Columns that sum views up, for `_counts_of`."""
+    sound = sa.func.coalesce(VIEWS.c.failure_code, "") != Damaged.code
+    kept = sa.case((needs_image(connection), VIEWS.c.byte_count))
+    return [
+        *(sa.func.count(sa.case((VIEWS.c.state == state, 1))).label(state) for state in STATES),
+        sa.func.coalesce(sa.func.sum(kept), 0).label("picture_bytes"),
+        *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in _AXES),
+        *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in _AXES),
+        sa.func.min(sa.case((sa.and_(sound, VIEWS.c.lon >= 0), VIEWS.c.lon))).label("lowest_east"),
+        sa.func.max(sa.case((sa.and_(sound, VIEWS.c.lon < 0), VIEWS.c.lon))).label("highest_west"),
+    ]
+
+
+def _counts_of(totals: sa.Row[Any], places: int) -> MapCounts:
+    row = totals._mapping
+    lowest = {axis: row[f"lowest_{axis}"] for axis in _AXES}
+    highest = {axis: row[f"highest_{axis}"] for axis in _AXES}
+    east, west = row["lowest_east"], row["highest_west"]
+    if None not in (east, west) and west + 360 - east < highest["lon"] - lowest["lon"]:
+        lowest["lon"], highest["lon"] = east, west  # the box over the meridian of 180 degrees is the narrower one
+    return MapCounts(
+        views={state: row[state] for state in STATES},
+        places=places,
+        image_bytes=int(row["picture_bytes"]),
+        lowest=Position(**lowest),
+        highest=Position(**highest),
+    )
 
 
 def make_map(connection: sa.Connection, name: str, recipe: MapRecipe, now: datetime) -> None:
@@ -90,35 +128,24 @@ class Maps(Part):
 
     def counts(self, name: str) -> MapCounts:
         """Size of a map; raises NotFound."""
-        axes = COORDINATES[:-1]  # a box has no heading
-        sound = sa.func.coalesce(VIEWS.c.failure_code, "") != Damaged.code
-        # A query of its own: an index answers it without reading views.
-        distinct = sa.select(sa.func.count(sa.distinct(VIEWS.c.place)))
         with self._database.reading() as connection:
             own = VIEWS.c.map_id == find_map(connection, name).id
-            kept = sa.case((needs_image(connection), VIEWS.c.byte_count))
-            totals = sa.select(
-                *(sa.func.count(sa.case((VIEWS.c.state == state, 1))).label(state) for state in STATES),
-                sa.func.coalesce(sa.func.sum(kept), 0).label("picture_bytes"),
-                *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in axes),
-                *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in axes),
-                sa.func.min(sa.case((sa.and_(sound, VIEWS.c.lon >= 0), VIEWS.c.lon))).label("lowest_east"),
-                sa.func.max(sa.case((sa.and_(sound, VIEWS.c.lon < 0), VIEWS.c.lon))).label("highest_west"),
-            )
-            row = connection.execute(totals.where(own)).one()._mapping
-            places = connection.execute(distinct.where(own)).scalar_one()
-        lowest = {axis: row[f"lowest_{axis}"] for axis in axes}
-        highest = {axis: row[f"highest_{axis}"] for axis in axes}
-        east, west = row["lowest_east"], row["highest_west"]
-        if None not in (east, west) and west + 360 - east < highest["lon"] - lowest["lon"]:
-            lowest["lon"], highest["lon"] = east, west  # the box over the meridian of 180 degrees is the narrower one
-        return MapCounts(
-            views={state: row[state] for state in STATES},
-            places=places,
-            image_bytes=int(row["picture_bytes"]),
-            lowest=Position(**lowest),
-            highest=Position(**highest),
-        )
+            row = connection.execute(sa.select(*_totals(connection)).where(own)).one()
+            places = connection.execute(sa.select(_PLACES).where(own)).scalar_one()
+        return _counts_of(row, places)
+
+    def counts_of_all(self) -> dict[str, MapCounts]:
+        """Sizes of all maps by their names, in one look."""
+        by_map = VIEWS.c.map_id
+        with self._database.reading() as connection:
+            names = connection.execute(sa.select(MAPS.c.id, MAPS.c.name).where(MAPS.c.name.is_not(None))).all()
+            totals = sa.select(by_map, *_totals(connection)).group_by(by_map)
+            found = {row.map_id: row for row in connection.execute(totals)}
+            places: dict[int, int] = {
+                row[0]: row[1] for row in connection.execute(sa.select(by_map, _PLACES).group_by(by_map))
+            }
+            nothing = connection.execute(sa.select(*_totals(connection)).where(sa.false())).one()
+        return {str(name): _counts_of(found.get(number, nothing), places.get(number, 0)) for number, name in names}
 
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
         """Create a map, or replace the recipe of an empty one; returns the map and whether it was created.
