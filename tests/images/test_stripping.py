@@ -116,6 +116,25 @@ def test_an_unknown_chunk_of_a_png_goes() -> None:
     assert strip(given, "png") == data
 
 
+def webp_of(flags: int, *chunks: tuple[bytes, bytes]) -> bytes:
+    """A WebP of 96 x 64 pixels in the extended format (RFC 9649, 2.7), with these chunks."""
+    parts = [
+        kind + struct.pack("<I", len(content)) + content + bytes(len(content) % 2)
+        for kind, content in ((b"VP8X", bytes((flags, 0, 0, 0, 95, 0, 0, 63, 0, 0))), *chunks)
+    ]
+    return b"RIFF" + struct.pack("<I", 4 + sum(map(len, parts))) + b"WEBP" + b"".join(parts)
+
+
+def test_the_one_frame_of_an_animation_is_not_taken_for_metadata() -> None:
+    pixels = encoded(drawn(96, 64), "webp", lossless=True)[12:]
+    frame = bytes((0, 0, 0, 0, 0, 0, 95, 0, 0, 63, 0, 0, 100, 0, 0, 0)) + pixels
+    data = webp_of(2, (b"ANIM", bytes(6)), (b"ANMF", frame))
+
+    assert np.array_equal(decode(data, LIMITS).pixels, drawn(96, 64))
+    with pytest.raises(ValueError, match="one frame"):  # it is given back as PNG
+        strip(data, "webp")
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_what_is_cut_is_stripped_or_refused(form: str) -> None:
     data = with_secrets(form)

@@ -14,7 +14,8 @@ from worker.images.tiff import without_metadata as _tiff
 _ICC = b"ICC_PROFILE\x00"
 _TABLES = frozenset(range(0xC0, 0xE0))  # frames, tables, scans
 _PNG = frozenset(b"IHDR PLTE IDAT IEND tRNS gAMA cHRM sRGB iCCP sBIT bKGD pHYs cICP".split())
-_WEBP = frozenset((b"VP8X", b"VP8 ", b"VP8L", b"ALPH", b"ICCP"))
+_WEBP_PIXELS = frozenset((b"VP8 ", b"VP8L"))
+_WEBP = _WEBP_PIXELS | {b"VP8X", b"ALPH", b"ICCP"}
 _EXIF_FLAG, _XMP_FLAG = 0x08, 0x04  # of VP8X (RFC 9649, 2.7)
 
 
@@ -114,6 +115,8 @@ def _webp(data: bytes) -> bytes:
         at += 8 + length + length % 2
     if not lost:
         return data
+    if not any(kind in _WEBP_PIXELS for kind, _ in kept):
+        raise ValueError("the pixels of this WebP are those of an animation's one frame")
     parts = []
     for kind, content in kept:
         if kind == b"VP8X":
