@@ -169,3 +169,26 @@ def test_strips_of_a_tiff_that_lie_over_one_another_are_not_written_out() -> Non
     assert len(strip(sound, "tiff")) <= len(sound)
     with pytest.raises(ValueError, match="over one another"):
         strip(crafted, "tiff")
+
+
+def test_a_webp_of_very_many_chunks_is_not_followed_to_its_end() -> None:
+    pixels = encoded(drawn(96, 64), "webp", lossless=True)[20:]
+    data = webp_of(0, (b"VP8L", pixels), *[(b"none", b"")] * 20_000)
+
+    assert np.array_equal(decode(data, LIMITS).pixels, drawn(96, 64))
+    with pytest.raises(ValueError, match="more than 10,000 chunks"):
+        strip(data, "webp")
+
+
+def test_a_tiff_of_more_strips_than_an_image_can_have_is_not_followed_to_its_end() -> None:
+    strips, at = 300_000, 8 + 32 * 32
+    begins, sizes = struct.pack(f"<{strips}I", *[8] * strips), struct.pack(f"<{strips}I", 1024, *[0] * (strips - 1))
+    fields = [(256, 3, 1, 32), (257, 3, 1, 32), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, strips, at)]
+    fields += [(277, 3, 1, 1), (278, 3, 1, 32), (279, 4, strips, at + len(begins)), (305, 2, 4, 0x61616100)]
+    directory = struct.pack("<H", len(fields)) + b"".join(struct.pack("<HHII", *field) for field in fields) + bytes(4)
+    head = b"II*\x00" + struct.pack("<I", at + len(begins) + len(sizes))
+    data = b"".join((head, bytes(range(256)) * 4, begins, sizes, directory))
+
+    assert decode(data, LIMITS).pixels.shape == (32, 32, 3)
+    with pytest.raises(ValueError, match="more than 200,000 strips"):
+        strip(data, "tiff")

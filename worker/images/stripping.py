@@ -18,6 +18,9 @@ _WEBP_PIXELS = frozenset((b"VP8 ", b"VP8L"))
 _WEBP = _WEBP_PIXELS | {b"VP8X", b"ALPH", b"ICCP"}
 _EXIF_FLAG, _XMP_FLAG = 0x08, 0x04  # of VP8X (RFC 9649, 2.7)
 
+MOST_CHUNKS = 10_000
+"""Chunks of a WebP that are followed: encoders write up to six, and the least has eight bytes."""
+
 
 def strip(data: bytes, form: str) -> bytes:
     """The file without metadata and without anything behind the image.
@@ -105,7 +108,10 @@ def _webp(data: bytes) -> bytes:
     exif = _exif(turned)
     end = min(len(data), 8 + int.from_bytes(data[4:8], "little"))
     at, kept, lost = 12, [], len(data) > end
+    number = 0
     while at + 8 <= end:
+        if (number := number + 1) > MOST_CHUNKS:
+            raise ValueError(f"this WebP has more than {MOST_CHUNKS:,} chunks")
         kind, length = data[at : at + 4], int.from_bytes(data[at + 4 : at + 8], "little")
         content = data[at + 8 : min(at + 8 + length, end)]
         if kind in _WEBP:

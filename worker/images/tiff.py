@@ -13,6 +13,10 @@ _KEPT = frozenset(
 ) | frozenset((320, 322, 323, 324, 325, 332, 334, 336, 338, 339, 340, 341, 347, 529, 530, 531, 532, 34675))
 _OVER = "parts of this TIFF lie over one another"
 
+MOST_PIECES = 200_000
+"""Strips or tiles that are followed: as many as the rows of three colours that lie apart, or the least tiles of the
+largest image."""
+
 
 def without_metadata(data: bytes) -> bytes:
     """The first page alone, with the fields that decoders need; the file itself when it holds nothing else.
@@ -48,6 +52,8 @@ def without_metadata(data: bytes) -> bytes:
     offsets, lengths = _TILES if _TILES[0] in fields else _STRIPS
     if offsets not in fields or lengths not in fields:
         raise ValueError("this TIFF does not say where its pixels are")
+    if max(fields[offsets][1], fields[lengths][1]) > MOST_PIECES:
+        raise ValueError(f"this TIFF has more than {MOST_PIECES:,} strips or tiles")
     if _numbers(order, fields.get(259, (3, 1, struct.pack(order + "H", 1))))[:1] == (6,):
         raise ValueError("this TIFF has JPEG data of the old kind")
     pieces = list(zip(_numbers(order, fields[offsets]), _numbers(order, fields[lengths]), strict=True))
