@@ -2,6 +2,7 @@
 
 import io
 import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image as PilImage
 
-from tests.sample_images import drawn, png_chunk
+from tests.sample_images import PNG_MAGIC, drawn, png_chunk
 from worker.images.codec import Limits, decode, thumbnail
 from worker.images.quality import problem
 from worker.images.stripping import strip
@@ -27,12 +28,20 @@ def taken(bits: int, colours: bool = False, light: float = 1.0) -> Samples:
 
 
 def png_of(samples: Samples, said: int | None = None) -> bytes:
-    bgr = samples[..., ::-1] if samples.ndim == 3 else samples
+    bgr = samples[..., [2, 1, 0, *range(3, samples.shape[2])]] if samples.ndim == 3 else samples
     whole = bytes(cv2.imencode(".png", bgr)[1])
     if said is None:
         return whole
     chunk = png_chunk(b"sBIT", bytes([said] * (3 if samples.ndim == 3 else 1)))
     return whole[:33] + chunk + whole[33:]  # behind IHDR
+
+
+def grey_with_alpha(samples: Samples) -> bytes:
+    """A PNG of grey and alpha, which OpenCV does not write."""
+    height, width = samples.shape[:2]
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in samples)
+    head = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 4, 0, 0, 0))
+    return PNG_MAGIC + head + png_chunk(b"IDAT", zlib.compress(rows)) + png_chunk(b"IEND", b"")
 
 
 def tiff_of(samples: Samples, order: str = "<", bits: int = 16, **said: int) -> bytes:
@@ -106,6 +115,23 @@ def test_a_compressed_tiff_in_colour_is_read_like_a_plain_one() -> None:
     assert np.array_equal(shown(data), samples >> 4)
 
 
+@pytest.mark.parametrize("bits", [12, 16])
+def test_what_lies_beside_the_colours_makes_them_no_darker(bits: int) -> None:
+    samples = taken(bits, colours=True)
+    right, light = samples >> bits - 8, samples[..., 1:2]
+    alpha = np.full((48, 64, 1), 65535, np.uint16)
+    alpha[:, :32] = 0  # which shows white
+    clear = np.broadcast_to(alpha == 0, right.shape)
+    joined = np.concatenate([samples, alpha], axis=-1)
+    for data in (png_of(joined), planes_of(joined), cv2.imencode(".tiff", joined[..., [2, 1, 0, 3]])[1]):
+        assert np.abs(shown(bytes(data)).astype(int) - np.where(clear, 255, right)).max() <= 1
+    grey = np.concatenate([light, alpha], axis=-1)
+    assert np.abs(shown(grey_with_alpha(grey)).astype(int) - np.where(clear, 255, light >> bits - 8)).max() <= 1
+    named = png_of(samples)
+    named = named[:33] + png_chunk(b"tRNS", bytes(6)) + named[33:]  # a colour that is not in it
+    assert np.abs(shown(named).astype(int) - right).max() <= 1
+
+
 def test_a_tiff_of_twelve_packed_bits_says_so() -> None:
     """However dim it is."""
     for light in (1.0, 0.2):
@@ -158,6 +184,6 @@ def test_of_a_tiff_whose_colours_lie_apart_sixteen_bits_are_one_sample(order: st
     samples = taken(bits, colours=True)
     assert np.array_equal(shown(planes_of(samples, order)), samples >> bits - 8)
     opaque = np.concatenate([samples, np.full((48, 64, 1), 65535, np.uint16)], axis=-1)
-    assert np.abs(shown(planes_of(opaque, order)).astype(int) - (samples >> 8)).max() <= 1
+    assert np.abs(shown(planes_of(opaque, order)).astype(int) - (samples >> bits - 8)).max() <= 1
     small = np.asarray(PilImage.open(io.BytesIO(thumbnail(planes_of(samples, order), 64))))
     assert abs(float(small.mean()) - float((samples >> bits - 8).mean())) < 3

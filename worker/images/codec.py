@@ -339,7 +339,7 @@ def _rgb(pil_image: PilImage.Image, data: bytes) -> PilImage.Image:
             "undecodable-picture", "its pixels are 32-bit numbers without a known range; convert it to 8 or 16 bits"
         )
     if pil_image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in pil_image.info:
-        alpha = pil_image.convert("RGBA")
+        alpha = sample_depth.beside_alpha(pil_image.convert("RGBA"), data)
         return PilImage.alpha_composite(PilImage.new("RGBA", alpha.size, "white"), alpha).convert("RGB")
     if pil_image.mode == "RGB" and pil_image.format in ("PNG", "TIFF"):
         return PilImage.fromarray(sample_depth.colours(np.asarray(pil_image), data))

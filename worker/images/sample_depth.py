@@ -52,14 +52,12 @@ def colours(upper: Bytes2D, data: bytes) -> Bytes2D:
     data : bytes
         The encoded image.
     """
+    if not _has_sixteen(data) or int(upper.max()) >= DIM:
+        return upper
     if data.startswith(png.SIGNATURE):
-        if png.depth(data) < 16 or int(upper.max()) >= DIM:
-            return upper
         flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         samples = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), flags), np.uint16)
         return _eight(samples.__getitem__, samples.shape, data)
-    if not _is_tiff(data) or int(upper.max()) >= DIM or _tags(data).get(_BITS) != (16, 16, 16):
-        return upper
     if (lower := _lower(data)) is None:
         return upper
 
@@ -67,6 +65,15 @@ def colours(upper: Bytes2D, data: bytes) -> Bytes2D:
         return np.asarray(upper[rows].astype(np.uint16) << 8 | lower[rows], np.uint16)
 
     return _eight(joined, upper.shape, data)
+
+
+def beside_alpha(upper: PilImage.Image, data: bytes) -> PilImage.Image:
+    """RGBA whose colours are those of `colours`, and whose alpha stays; `upper` as there."""
+    if not _has_sixteen(data):
+        return upper
+    pixels = np.array(upper)
+    pixels[..., :3] = colours(pixels[..., :3], data)
+    return PilImage.fromarray(pixels)
 
 
 def mend_planes(pil_image: PilImage.Image) -> None:
@@ -89,11 +96,11 @@ def _lower(data: bytes) -> Bytes2D | None:
         tiles = []
         for tile in pil_image.tile:
             raw, others = _raw(tile)
-            if ";16" not in raw:
+            if ";16" not in raw or raw.startswith("RGBa"):  # colours that alpha was multiplied into are divided by it
                 return None
             tiles.append(tile._replace(args=(raw[:-1] + _SWAPPED[raw[-1]], *others)))
         pil_image.tile = tiles
-        return np.asarray(pil_image)
+        return np.asarray(pil_image)[..., :3]
 
 
 def _raw(tile: Any) -> tuple[str, tuple[Any, ...]]:
@@ -148,6 +155,13 @@ def _said_by_tiff(tags: dict[int, Any], most: int) -> int | None:
     said = tags.get(_RANGE, tags.get(_MOST))
     values = [int(value) for value in (said if isinstance(said, tuple) else (said,)) if isinstance(value, int | float)]
     return max(8, max(values).bit_length()) if values and most <= max(values) else None
+
+
+def _has_sixteen(data: bytes) -> bool:
+    """Whether each sample of a PNG or TIFF has sixteen bits; False for other images."""
+    if data.startswith(png.SIGNATURE):
+        return png.depth(data) == 16
+    return set(_tags(data).get(_BITS, ())) == {16}
 
 
 def _is_tiff(data: bytes) -> bool:
