@@ -72,9 +72,9 @@ class Limits:
 def decode(data: bytes, limits: Limits) -> Image:
     """Decode an image: upright, RGB, eight bits.
 
-    Orientation follows EXIF. Grey is repeated, alpha is laid over white, CMYK is converted without a profile. Of
-    sixteen bits the upper eight are kept, of those that are filled (`sample_depth`). Of several pages or frames in
-    JPEG, PNG and TIFF the first is taken, in HEIC the primary one.
+    Orientation follows EXIF. Grey is repeated, alpha is laid over white (that of a BMP only where it is not 0 all
+    over), CMYK is converted without a profile. Of sixteen bits the upper eight are kept, of those that are filled
+    (`sample_depth`). Of several pages or frames in JPEG, PNG and TIFF the first is taken, in HEIC the primary one.
 
     Raises
     ------
@@ -340,6 +340,8 @@ def _rgb(pil_image: PilImage.Image, data: bytes) -> PilImage.Image:
         )
     if pil_image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in pil_image.info:
         alpha = sample_depth.beside_alpha(pil_image.convert("RGBA"), data)
+        if pil_image.format == "BMP" and not alpha.getchannel("A").getbbox():
+            return alpha.convert("RGB")  # some programs leave the last eight of 32 bits 0, whatever the header says
         return PilImage.alpha_composite(PilImage.new("RGBA", alpha.size, "white"), alpha).convert("RGB")
     if pil_image.mode == "RGB" and pil_image.format in ("PNG", "TIFF"):
         return PilImage.fromarray(sample_depth.colours(np.asarray(pil_image), data))
