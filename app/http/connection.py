@@ -38,8 +38,15 @@ _TOO_LARGE = 431
 class _Connection(h11.Connection):
     """h11's parser, stricter: what two servers could read in two ways is refused (RFC 9112, section 11.2)."""
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether there are bytes of a request that is not complete yet, or of the next one."""
+        return bool(self._receive_buffer)
+
     def next_event(self) -> Any:
         """The next event; raises h11.RemoteProtocolError for what is refused."""
+        if self.their_state is h11.IDLE:
+            self._pass_over_empty_lines()
         event = super().next_event()
         if not isinstance(event, h11.Request):
             return event
@@ -52,6 +59,12 @@ class _Connection(h11.Connection):
         if b"transfer-encoding" in names and (b"content-length" in names or event.http_version == b"1.0"):
             raise h11.RemoteProtocolError("Transfer-Encoding cannot stand beside Content-Length, nor in HTTP/1.0")
         return _in_origin_form(event)
+
+    def _pass_over_empty_lines(self) -> None:
+        """Before a request line (RFC 9112, section 2.2): small clients end a body with one that they do not count."""
+        received = self._receive_buffer._data
+        if received.startswith((b"\r", b"\n")):
+            self._receive_buffer.maybe_extract_at_most(len(received) - len(received.lstrip(b"\r\n")))
 
 
 class _RefusedPath(h11.RemoteProtocolError):
@@ -121,11 +134,10 @@ class BoundedProtocol(H11Protocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        self.conn = _Connection(h11.SERVER, MOST_HEAD_BYTES)
+        self.conn: _Connection = _Connection(h11.SERVER, MOST_HEAD_BYTES)
         self.finishing = False
         self._inner: asyncio.Transport
         self._timers: dict[str, asyncio.TimerHandle] = {}
-        self._heard = False  # bytes of a request that is not complete yet
         self._discarded = 0
         self._unsent = 0
 
@@ -150,13 +162,10 @@ class BoundedProtocol(H11Protocol):
             self._discard(len(data))
             return
         answered = self.cycle
-        if answered is None or answered.response_complete:
-            self._heard = True
-            if "head" not in self._timers:
-                self._after("head", self.limits.head_s, self._head_is_late)
+        if (answered is None or answered.response_complete) and "head" not in self._timers:
+            self._after("head", self.limits.head_s, self._head_is_late)
         super().data_received(data)
         if self.cycle is not answered:
-            self._heard = False
             self._cancel("head")
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -211,7 +220,7 @@ class BoundedProtocol(H11Protocol):
     def _head_is_late(self) -> None:
         if self.finishing or (self.cycle is not None and not self.cycle.response_complete):
             return
-        if self._heard:
+        if self.conn.has_begun:
             seconds = f"{self.limits.head_s:g}"
             self._answer("request-timeout", f"request line and headers did not arrive within {seconds} s")
         else:

@@ -35,12 +35,14 @@ async def large(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 @asynccontextmanager
-async def listening(connections: int = 10, app: ASGIApp = large) -> AsyncIterator[tuple[ServerState, int]]:
+async def listening(
+    connections: int = 10, app: ASGIApp = large, head_s: float = 5
+) -> AsyncIterator[tuple[ServerState, int]]:
     """A server of the application on a free port; its connections stand in the state."""
     config = configured(app, Settings())
     config.load()
     state = ServerState()
-    made = protocol_with(ConnectionLimits(connections, head_s=5, discard_s=5, discard_bytes=1000))
+    made = protocol_with(ConnectionLimits(connections, head_s, discard_s=5, discard_bytes=1000))
     server = await asyncio.get_running_loop().create_server(lambda: made(config, state, {}), "127.0.0.1", 0)
     async with server:
         yield state, server.sockets[0].getsockname()[1]
@@ -177,3 +179,45 @@ def test_far_beyond_the_bound_connections_are_closed_unread() -> None:
             await gone(state)
 
     asyncio.run(story())
+
+
+async def small(scope: Scope, receive: Receive, send: Send) -> None:
+    """Answers the body that came."""
+    body = b""
+    while (message := await receive()).get("more_body", False):
+        body += message["body"]
+    body += message.get("body", b"")
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"%d" % len(body))]})
+    await send({"type": "http.response.body", "body": body})
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_an_empty_line_behind_a_body_is_no_request(at_once: bool) -> None:
+    """As small clients send it that write the end of a multipart body by hand."""
+    post = b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 4\r\n\r\nbody\r\n"
+
+    async def story() -> list[bytes]:
+        async with listening(app=small) as (_, port):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            answers = []
+            writer.write(b"\r\n" + post * (3 if at_once else 1))
+            for number in range(3):
+                answers.append(await asyncio.wait_for(reader.readuntil(b"\r\n\r\nbody"), 20))
+                if not at_once and number < 2:
+                    writer.write(post)
+            writer.close()
+            return answers
+
+    assert [answer.partition(b"\r\n")[0] for answer in asyncio.run(story())] == [b"HTTP/1.1 200 OK"] * 3
+
+
+def test_who_sends_nothing_but_empty_lines_is_not_told_of_a_request() -> None:
+    async def story() -> bytes:
+        async with listening(app=small, head_s=0.3) as (_, port):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(b"\r\n")
+            answer = await asyncio.wait_for(reader.read(), 20)
+            writer.close()
+            return answer
+
+    assert asyncio.run(story()) == b""
