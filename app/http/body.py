@@ -36,6 +36,9 @@ _EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*utf-8'[^']*'([^\s;\"]+)", re
 _PART = re.compile(rb"\r\n(?i:content-disposition)[ \t]*:[ \t]*form-data")
 """Where a part begins, whatever its boundary: of an image no bytes are."""
 
+_AS_IT_IS = (b"", b"7bit", b"8bit", b"binary")
+"""Codings of a part that change nothing (RFC 2045, 6.2); others stand before none in HTTP (RFC 7578, 4.7)."""
+
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 
 
@@ -158,13 +161,19 @@ class _Part:
         return b"".join(self.pieces)
 
     def names(self) -> tuple[str, str | None]:
-        """(name, file name or None) of the part's Content-Disposition (RFC 7578, 4.2)."""
+        """(name, file name or None) of the part's Content-Disposition (RFC 7578, 4.2); raises BadBody without one, and
+        of a part that would have to be decoded."""
         kind, options = parse_options_header(self.headers.get("content-disposition"))
         if kind != b"form-data" or b"name" not in options:
             raise BadBody("malformed-body", "a part of the multipart body has no Content-Disposition with a name")
+        name, coding = _utf8(options[b"name"]), self.headers.get("content-transfer-encoding", b"").strip()
+        if coding.lower() not in _AS_IT_IS:
+            said = f"Content-Transfer-Encoding: {echoed(coding.decode('latin-1'))}"
+            detail = f"the part `{echoed(name)}` is encoded ({said}); send it as it is, without that header"
+            raise BadBody("malformed-body", detail)
         extended = _EXTENDED_NAME.search(self.headers["content-disposition"])
         file = unquote_to_bytes(extended[1]) if extended else options.get(b"filename")
-        return _utf8(options[b"name"]), None if file is None else _utf8(file)
+        return name, None if file is None else _utf8(file)
 
 
 class _Reader:

@@ -59,6 +59,24 @@ def test_repeated_parts_are_named(client: CheckedClient, method: str, path: str)
         assert any("2 times" in error["detail"] for error in answer.json()["errors"]), (name, answer.text)
 
 
+@pytest.mark.parametrize("coding", ["base64", "Quoted-Printable", "x-own"])
+def test_a_part_that_would_have_to_be_decoded_is_refused(client: CheckedClient, coding: str) -> None:
+    for name, (filename, content) in {"place": (None, "aGFsbA=="), "image": ("a.jpg", photo())}.items():
+        said = {"Content-Transfer-Encoding": coding}
+        parts = {"image": ("a.jpg", photo()), name: (filename, content, "text/plain", said)}
+        answer = client.post("/enroll", files=parts)
+        assert (answer.status_code, answer.json()["type"]) == (400, "urn:revisit:problem:malformed-body")
+        assert f"the part `{name}` is encoded" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("coding", ["binary", "8bit", " 7BIT"])
+def test_a_part_that_says_that_it_is_as_it_is_is_taken(client: CheckedClient, coding: str) -> None:
+    said = {"Content-Transfer-Encoding": coding}
+    parts = {"image": ("a.jpg", photo(), "image/jpeg", said), "place": (None, "hall", "text/plain", said)}
+    answer = client.post("/enroll", files=parts)
+    assert answer.json()["view"]["place"] == "hall"
+
+
 def chunks(*pieces: bytes) -> Iterator[bytes]:
     yield from pieces
 
