@@ -79,6 +79,12 @@ def test_a_cmyk_jpeg_is_looked_over_as_well() -> None:
     assert refusal(data[: len(data) // 2] + b"\xff\xd9").code == "undecodable-picture"
 
 
+def test_a_jpeg_of_odd_sampling_factors_is_not_called_damaged() -> None:
+    data = bytearray(encoded(drawn(160, 120), "jpeg"))
+    data[data.index(b"\xff\xc0") + 11] = 0x42  # of the light, four by two of those of a colour
+    assert "of a variant that is not read" in refusal(bytes(data)).detail
+
+
 def test_a_jpeg_of_very_many_scans_is_refused_before_they_are_decoded() -> None:
     data = encoded(drawn(320, 240), "jpeg", progressive=True)
     structure = Structure.read(data)

@@ -281,7 +281,8 @@ def _with_simplejpeg(data: bytes, header: _Header, into: Bytes2D | None) -> Byte
             whole = jpeg.without_padding(data, structure)
             pixels = simplejpeg.decode_jpeg(whole, colors, strict=True, buffer=room)
     except (ValueError, MemoryError) as error:
-        raise _undecodable("jpeg", f"it is damaged ({str(error).strip()})") from error
+        what = "it is of a variant that is not read" if _VARIANT.search(str(error)) else "it is damaged"
+        raise _undecodable("jpeg", f"{what} ({str(error).strip()})") from error
     if header.plain:
         if pixels.shape[1::-1] != header.stored:
             raise _undecodable("jpeg", "its headers disagree about its size")
@@ -290,6 +291,8 @@ def _with_simplejpeg(data: bytes, header: _Header, into: Bytes2D | None) -> Byte
 
 
 _PADDED = re.compile("extraneous bytes before marker 0xd9")
+_VARIANT = re.compile("subsampling level|Unsupported color conversion")
+"""What the decoder says of sound images: of odd sampling factors, and of grey without loss."""
 
 
 def _with_opencv(data: bytes, header: _Header) -> Bytes2D:
