@@ -154,7 +154,7 @@ def test_images_that_must_agree_are_matched_once_enough_in_a_row_do(client: Chec
 def test_an_image_for_which_no_view_was_searched_ends_a_row(client: CheckedClient) -> None:
     """A robot that asks near where it believes to be, and is nowhere near the map for one image."""
     [sure, *_] = [ahead for ahead in STREET if put(client, ahead, precision=0.5)["status"] == "matched"]
-    wanted = {"drive": "robot-11", "consistent": 2, "precision": 0.5}
+    wanted: dict[str, Any] = {"drive": "robot-11", "consistent": 2, "precision": 0.5}
     first = put(client, sure, **wanted)
     nothing = put(client, sure, place="elsewhere", **wanted)
     then = [put(client, sure, **wanted) for _ in range(2)]
