@@ -305,7 +305,7 @@ def _difference(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
-    parser = argparse.ArgumentParser(prog="ablate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m lab.ablate", description=__doc__.splitlines()[0])
     add_dataset_arguments(parser)
     add_device(parser)
     parser.add_argument("--write", type=Path, help="Markdown file to write the table to")

@@ -212,7 +212,7 @@ def as_markdown(learned: Learned) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
-    parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m lab.calibrate", description=__doc__.splitlines()[0])
     parser.add_argument("decisions", type=Path, nargs="+", help="decisions.jsonl, as lab.decide writes them")
     parser.add_argument("--features", default="gap,level", help="what the curve reads, comma-separated")
     parser.add_argument("--curve", choices=tuple(CURVES), default="logistic", help="isotonic reads one feature")

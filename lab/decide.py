@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
-    parser = argparse.ArgumentParser(prog="decide", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m lab.decide", description=__doc__.splitlines()[0])
     add_arguments(parser)
     options = parser.parse_args(argv)
     try:

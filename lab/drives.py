@@ -210,7 +210,7 @@ def summed(rows: Sequence[Sequence[Counts | None]]) -> list[Counts | None]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
-    parser = argparse.ArgumentParser(prog="drives", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m lab.drives", description=__doc__.splitlines()[0])
     add_dataset_arguments(parser)
     add_device(parser)
     parser.add_argument("--no-service", action="store_true", help="SeqSLAM only")

@@ -121,10 +121,15 @@ def circumstances(seed: int) -> dict[str, str]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Everything that `main` understands; `./revisit evaluate` adds the same."""
+    """Everything that `main` understands."""
     add_dataset_arguments(parser)
     add_device(parser)
-    parser.add_argument("--out", type=Path, default=Path("runs/evaluation"), help="where reports and answers are kept")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/evaluation"),
+        help="where reports and answers are kept (default: runs/evaluation)",
+    )
     parser.add_argument(
         "--preset", action="append", help="preset to measure, may be repeated (default: default and paper)"
     )
@@ -151,16 +156,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="order the first answers of a method anew by ALIKED and LightGlue: a preset, or a name as in the tables",
     )
     parser.add_argument(
-        "--aliked-side", type=whole(32), default=640, metavar="PIXELS", help="longer side it sees (640)"
+        "--aliked-side",
+        type=whole(32),
+        default=640,
+        metavar="PIXELS",
+        help="longer side of the images that ALIKED sees (default: 640)",
     )
-    parser.add_argument("--rerank-first", type=int, default=10, metavar="N", help="so many of them (default: 10)")
-    parser.add_argument("--export", type=Path, metavar="FOLDER", help="copy the set under such names, measure nothing")
     parser.add_argument(
-        "--url", help="measure the service that runs there, in a map of its own; REVISIT_KEY: a key of scope admin"
+        "--rerank-first", type=int, default=10, metavar="N", help="first answers that --rerank orders (default: 10)"
     )
-    parser.add_argument("--no-service", action="store_true", help="baselines only")
-    parser.add_argument("--truth-only", action="store_true", help="only sizes, chance and ceiling of the ground truth")
-    parser.add_argument("--examples", type=whole(0), default=3, help="right and wrong answers shown in the report")
+    parser.add_argument(
+        "--export",
+        type=Path,
+        metavar="FOLDER",
+        help="copy the set for other programs, with positions in the names of its files; measure nothing",
+    )
+    parser.add_argument(
+        "--url",
+        help="measure the service that runs at this address, in a map of its own; where it has keys, by that in "
+        "REVISIT_KEY, of the scope admin",
+    )
+    parser.add_argument("--no-service", action="store_true", help="measure baselines only")
+    parser.add_argument(
+        "--truth-only", action="store_true", help="print sizes, chance and ceiling of the ground truth only"
+    )
+    parser.add_argument(
+        "--examples", type=whole(0), default=3, help="right and wrong answers of each method in the report (default: 3)"
+    )
 
 
 def main(argv: Sequence[str] | None = None, connect: Callable[[str, str], Contender] | None = None) -> int:
@@ -177,7 +199,7 @@ def main(argv: Sequence[str] | None = None, connect: Callable[[str, str], Conten
     int
         0, or 2 when it was used wrongly, or a folder or weights are not as they must be.
     """
-    parser = argparse.ArgumentParser(prog="evaluate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="revisit evaluate", description=__doc__.splitlines()[0])
     add_arguments(parser)
     options = parser.parse_args(argv)
     try:

@@ -115,7 +115,7 @@ def _spread(values: Sequence[int]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
-    parser = argparse.ArgumentParser(prog="loops", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m lab.loops", description=__doc__.splitlines()[0])
     add_dataset_arguments(parser)
     parser.add_argument("--sets", default="", help="only sets whose names begin so, comma-separated")
     parser.add_argument("--repeat", type=whole(1), default=3, help="times that each walk is walked (3)")

@@ -317,6 +317,12 @@ def test_once_set_up_help_comes_from_the_environment(checkout: Checkout) -> None
     assert checkout.run("help", "enroll").stderr == ""
 
 
+def test_help_about_the_tests_runs_none(checkout: Checkout) -> None:
+    checkout.run("set-up")
+
+    assert checkout.run("test", "--help").stdout == "ran -m app.cli test --help\n"
+
+
 def with_commands(checkout: Checkout) -> Checkout:
     """A checkout with the program too, and a real Python."""
     for folder in ROOT.iterdir():

@@ -56,9 +56,26 @@ def parser() -> argparse.ArgumentParser:
     verbs = whole.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in GROUPS:
         importlib.import_module(f"app.cli.{name}").add(verbs)
-    test = verbs.add_parser("test", help="run every check of a checkout")
+    test = verbs.add_parser(
+        "test",
+        help="run every check of a checkout",
+        description="Run every check of a checkout. Arguments are pytest's, which then runs by itself: "
+        "`./revisit test tests/method -k hough`.",
+    )
     test.set_defaults(run=_test)
+    _describe(whole)
     return whole
+
+
+def _describe(parser: argparse.ArgumentParser) -> None:
+    """Let the help of each command without a description begin with its line in the list of commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for line in action._get_subactions():
+                command = action.choices[line.dest]
+                if command.description is None and line.help:
+                    command.description = f"{line.help[0].upper()}{line.help[1:]}."
+                _describe(command)
 
 
 def _test(arguments: argparse.Namespace) -> int:

@@ -38,7 +38,7 @@ def add(verbs: Verbs) -> None:
         const=True,
         help="allow an address that others can reach, although anybody may then read, enrol and delete",
     )
-    serve.add_argument("--preset", help="preset of maps that are made without naming one")
+    serve.add_argument("--preset", help="preset of maps made without one: default, paper, code-words")
     _common(serve)
     serve.set_defaults(run=run_serve)
 

@@ -41,6 +41,7 @@ def main(arguments: Sequence[str] | None = None, over_http: "OverHttp | None" = 
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] in (["-h"], ["--help"]):
+        print("usage: revisit benchmark [NAME] [OPTIONS]\n\nWithout NAME: stages. NAME --help lists its options.\n")
         print("benchmarks:\n" + "\n".join(f"  {name:18}{text}" for name, text in BENCHMARKS.items()))
         return 0
     name = given.pop(0) if given and not given[0].startswith("-") else "stages"

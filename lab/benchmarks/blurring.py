@@ -137,7 +137,9 @@ def recognised(runtime: Runtime, walks: Sequence[Sequence[Path]]) -> list[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a table."""
-    parser = argparse.ArgumentParser(prog="lab.benchmarks.blurring", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m lab.benchmarks.blurring", description=(__doc__ or "").splitlines()[0]
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     covered = verbs.add_parser("covered", help="labelled images: what is covered of people and vehicles")
     covered.add_argument("folder", type=Path, help="with images/ and labels/; classes.json beside it")

@@ -94,7 +94,7 @@ def measure(sets: Sequence[Dataset], what: str, runtime: Runtime, folder: Path, 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="carried", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m lab.benchmarks.carried", description=__doc__.splitlines()[0])
     parser.add_argument("--root", type=Path, required=True, help="folder of sets with tables of right answers")
     parser.add_argument("--sets", default="", help="only sets whose names begin so, comma-separated")
     parser.add_argument("--what", nargs="+", default=list(CARRIED), choices=list(CARRIED))

@@ -89,7 +89,9 @@ def drawn(folder: Path) -> tuple[list[Path], list[Path]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the steps; 1 when no answer was sure."""
-    parser = argparse.ArgumentParser(prog="first_answer", description="a newcomer's first ten photos, timed")
+    parser = argparse.ArgumentParser(
+        prog="python -m lab.benchmarks.first_answer", description="a newcomer's first ten photos, timed"
+    )
     parser.add_argument("--photos", type=Path, help="a folder; the first ten are enrolled, their names are the places")
     parser.add_argument("--ask", type=Path, help="a folder with other photos of the same places")
     options = parser.parse_args(arguments)

@@ -118,7 +118,7 @@ def table(rows: Mapping[str, Mapping[str, Verdicts]]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command-line entry point."""
     parser = argparse.ArgumentParser(
-        prog="./revisit benchmark placeless", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+        prog="revisit benchmark placeless", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--images", type=Path, help="folder with a folder of images for each kind; default: drawn")
     parser.add_argument("--encoder", default="compact")

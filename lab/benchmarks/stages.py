@@ -252,11 +252,13 @@ def main(arguments: Sequence[str] | None = None, over_http: OverHttp | None = No
         Given by `app`, which knows HTTP.
     """
     parser = argparse.ArgumentParser(prog="revisit benchmark stages", description=__doc__)
-    parser.add_argument("--views", type=int, nargs="+", default=[1000, 10_000, 100_000])
-    parser.add_argument("--encoder", default="compact", choices=("compact", "color"))
-    parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--images", type=int, default=24)
-    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument(
+        "--views", type=int, nargs="+", default=[1000, 10_000, 100_000], help="sizes of the map that is queried"
+    )
+    parser.add_argument("--encoder", default="compact", choices=("compact", "color"), help="default: compact")
+    parser.add_argument("--threads", type=int, default=0, help="threads of the network (default: one per core)")
+    parser.add_argument("--images", type=int, default=24, help="images that are enrolled (default: 24)")
+    parser.add_argument("--repeats", type=int, default=15, help="runs that a median is of (default: 15)")
     parser.add_argument("--nearest", type=int, default=NEAREST, help="candidates of each channel")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     options = parser.parse_args(arguments)

@@ -40,7 +40,7 @@ def chosen(datasets: Sequence[Dataset], beginnings: str, *, walks: bool = False)
 
 def add_device(parser: argparse.ArgumentParser) -> None:
     """Where networks run."""
-    parser.add_argument("--device", default="cpu", help="where networks run")
+    parser.add_argument("--device", default="cpu", help="where networks run: cpu, cuda, ... (default: cpu)")
 
 
 def whole(least: int) -> Callable[[str], int]:
@@ -84,29 +84,40 @@ def _between(text: str, least: float, most: float, otherwise: str) -> float:
 
 def add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
     """What `read` understands, the seed of whatever is drawn included."""
-    parser.add_argument("dataset", choices=["kitti", "pitts30k", "pairs", "aligned", "folder"])
+    parser.add_argument(
+        "dataset", choices=["kitti", "pitts30k", "pairs", "aligned", "folder"], help="layout: docs/evaluation.md"
+    )
     parser.add_argument("--root", type=_named, required=True, help="folder of the data set")
-    parser.add_argument("--seed", type=whole(0), default=0)
+    parser.add_argument("--seed", type=whole(0), default=0, help="of whatever is drawn at random (default: 0)")
     parser.add_argument(
         "--protocol",
         choices=sorted({name for names in PROTOCOLS.values() for name in names}),
         help="kitti: loop (default) or halves; pairs, aligned: vpr-tutorial (frame for frame, 8 either way ignored); "
         "folder: utm (positions in names, @easting@northing@...)",
     )
-    parser.add_argument("--radius", type=_metres, default=RADIUS_M, help="metres within which an answer is right")
+    parser.add_argument(
+        "--radius",
+        type=_metres,
+        default=RADIUS_M,
+        help=f"metres within which an answer is right (default: {RADIUS_M:g})",
+    )
     parser.add_argument("--hold-out", type=_share, default=0.0, help="share of queries whose places are not enrolled")
     one = parser.add_argument_group("kitti")
-    one.add_argument("--sequence", default="00")
-    one.add_argument("--gap", type=whole(0), default=100, help="frames between a query and the newest it may know")
+    one.add_argument("--sequence", default="00", help="which one (default: 00)")
+    one.add_argument(
+        "--gap", type=whole(0), default=100, help="frames between a query and the newest it may know (default: 100)"
+    )
     one.add_argument("--every", type=whole(1), default=1, help="use every n-th frame")
-    one.add_argument("--camera", default="image_2")
+    one.add_argument("--camera", default="image_2", help="folder of its images (default: image_2)")
     two = parser.add_argument_group("pitts30k")
-    two.add_argument("--split", choices=["train", "val", "test"], default="val")
+    two.add_argument("--split", choices=["train", "val", "test"], default="val", help="which one (default: val)")
     two.add_argument("--queries", type=whole(1), help="draw this many queries")
     two.add_argument("--database", type=whole(1), help="draw this many database images, distractors included")
     rest = parser.add_argument_group("pairs, aligned, folder")
     rest.add_argument("--unlisted", action="store_true", help="query images that no row names too, as unanswerable")
-    rest.add_argument("--tolerance", type=whole(0), default=2, help="frames by which an aligned answer may differ")
+    rest.add_argument(
+        "--tolerance", type=whole(0), default=2, help="frames by which an aligned answer may differ (default: 2)"
+    )
     rest.add_argument("--heading", type=_degrees, help="degrees by which the heading may differ")
 
 

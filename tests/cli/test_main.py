@@ -90,6 +90,15 @@ def test_help_loads_nothing_slow() -> None:
     assert json.loads(done.stdout.splitlines()[-1]) == []
 
 
+@pytest.mark.parametrize("argv", [["query"], ["views"], ["keys", "revoke"], ["vocabulary", "train"], ["test"]])
+def test_the_help_of_a_command_begins_with_what_it_is_for(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([*argv, "--help"])
+    usage, what_for, *_ = capsys.readouterr().out.split("\n\n")
+    assert usage.startswith(f"usage: revisit {' '.join(argv)}")
+    assert what_for.endswith(".")
+
+
 def test_version_as_text_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["version"]) == 0
     text = capsys.readouterr().out
