@@ -23,7 +23,7 @@ def add(verbs: Verbs) -> None:
     )
     snapshot.add_argument("map", nargs="?", help="name of the map")
     snapshot.add_argument("--all", action="store_true", help="every map, a file each")
-    snapshot.add_argument("--output", type=Path, metavar="PATH", help="file, or folder to put it into (default: .)")
+    snapshot.add_argument("--output", type=_path, metavar="PATH", help="file, or folder to put it into (default: .)")
     snapshot.add_argument("--keep", action="store_true", help="leave the file with the service too")
     kept = snapshot.add_mutually_exclusive_group()
     kept.add_argument("--list", action="store_true", help="list the snapshots that the service keeps")
@@ -43,6 +43,14 @@ def add(verbs: Verbs) -> None:
     restore.add_argument("--data", type=Path, help="data folder of the stopped service (default: data)")
     speaks(restore)
     restore.set_defaults(run=run_restore)
+
+
+def _path(text: str) -> Path:
+    """A path; what ends with a slash is meant as a folder, and has to be one."""
+    path = Path(text)
+    if text.endswith("/") and not path.is_dir():
+        raise argparse.ArgumentTypeError(f"there is no folder {text}; make it first")
+    return path
 
 
 def run_snapshot(arguments: argparse.Namespace) -> int:

@@ -84,6 +84,14 @@ def test_wrong_use_is_told_before_anything_happens(wrong: list[str], nobody: Non
     assert capsys.readouterr().err
 
 
+def test_a_folder_that_is_missing_is_told_and_no_file_is_called_so(tmp_path: Path, nobody: None, capsys: Out) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["snapshot", "campus", "--output", f"{tmp_path}/backup/"])
+
+    assert caught.value.code == 2
+    assert f"no folder {tmp_path}/backup/" in capsys.readouterr().err
+
+
 def test_a_file_that_is_missing_is_named(tmp_path: Path, capsys: Out) -> None:
     assert main(["restore", str(tmp_path / "none"), "--data", str(tmp_path / "data")]) == 1
     assert "none" in capsys.readouterr().err
