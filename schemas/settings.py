@@ -63,7 +63,7 @@ class Settings(BaseSettings):
         None, description="Where images lie: s3://bucket/prefix; default is the folder `pictures` of the data folder."
     )
     index: Literal["faiss", "pgvector", "pgvector-hnsw"] = Field(
-        "faiss", description="Where vectors are searched: in memory, or in PostgreSQL, exactly or by HNSW."
+        "faiss", description="Where vectors are searched: faiss (in memory), pgvector or pgvector-hnsw (PostgreSQL)."
     )
     host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
     port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
@@ -75,11 +75,13 @@ class Settings(BaseSettings):
         False, description="Make an admin key and print it once where others may reach a service without keys."
     )
     encoder: Literal["compact", "compact-open", "color", "lseg"] = Field(
-        "compact", description="Encoder that describes images."
+        "compact", description="Encoder that describes images: compact, compact-open, color or lseg."
     )
     weights: Path | None = Field(None, description="Weights file of the encoder `lseg`.")
     bpe: Path | None = Field(None, description="CLIP's byte-pair vocabulary, for the encoder `lseg`.")
-    lseg_mode: Literal["windows", "single"] = Field("windows", description="How the encoder `lseg` covers an image.")
+    lseg_mode: Literal["windows", "single"] = Field(
+        "windows", description="How the encoder `lseg` covers an image: windows or single."
+    )
     encoder_url: str | None = Field(
         None, description="Shared encoder that images are sent to: http://encoder:8100; default is one in the process."
     )
@@ -87,7 +89,7 @@ class Settings(BaseSettings):
         None, description="Key of the shared encoder: it asks for it, and a service sends it."
     )
     device: str = Field("cpu", description="Device of the network: cpu, cuda, cuda:1, ...")
-    preset: str = Field("default", description="Preset of maps that are created without naming one.")
+    preset: str = Field("default", description="Preset of maps made without one: default, paper or code-words.")
     threads: int = Field(0, ge=0, le=256, description="Threads of the network; 0 takes one per core.")
     batch: int = Field(0, ge=0, le=256, description="Images encoded together; 0: 1 on a CPU, 8 on a GPU.")
     inline_worker: bool = Field(True, description="Describe enrolled images inside `serve`.")
@@ -113,8 +115,10 @@ class Settings(BaseSettings):
     limit_all_requests: int = Field(0, ge=0, description="Requests a minute of all callers together; 0: any.")
     limit_all_images: int = Field(0, ge=0, description="Images a minute of all callers together; 0: any.")
     limit_all_mb: float = Field(0, ge=0, description="10^6 bytes a minute of all callers together; 0: any.")
-    log: Literal["text", "json"] = Field("text", description="Format of log lines.")
-    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level of log lines.")
+    log: Literal["text", "json"] = Field("text", description="Format of log lines: text or json.")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="Least level of log lines: debug, info, warning or error."
+    )
     slow_s: float = Field(5, gt=0, description="Seconds after which a request is logged as slow.")
     traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
     webhook: str | None = Field(None, description="Address that what queries found is sent to, as webhooks.")
