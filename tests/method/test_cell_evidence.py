@@ -77,7 +77,7 @@ class TestAgreeing:
     def test_an_image_of_nothing_has_no_evidence(self) -> None:
         nothing = np.zeros((4, 5, 8), np.int8)
 
-        found = cell_evidence.agreeing(nothing, nothing, CHANNELS, detail_rate=1.2)
+        found = cell_evidence.agreeing(nothing, nothing, CHANNELS, align_scale=1.2)
 
         assert (len(found.weight), found.similarity, found.of_query().shape) == (0, 0.0, (4, 5))
 
@@ -102,13 +102,13 @@ class TestAgreeing:
             assert one.dense is not None
             found = cell_evidence.agreeing(
                 QUERY.cells, views.views[one.seq].cells, RECIPE.parameters.cell_channels(),
-                detail_rate=one.dense.detail_rate,
+                align_scale=one.dense.align_scale,
             )  # fmt: skip
             assert found.similarity == pytest.approx(terms[one.seq], abs=1e-5)
             channels.add(found.channel)
         assert channels == ({None} if some == 0 else {None, DETAIL})
-        rates = [one.dense.detail_rate > 0 for one in compared if one.dense is not None]
-        assert sum(rates) == some
+        by_detail = [one.dense.align_scale > 0 for one in compared if one.dense is not None]
+        assert sum(by_detail) == some
 
     def test_detail_alone_counts_only_where_it_is_larger(self) -> None:
         query = QUERY.cells
@@ -116,26 +116,26 @@ class TestAgreeing:
         half = slice(0, DIMENSIONS)  # detail comes first by name
         alone = dense_cells.compare(query[..., half], view[None][..., half], length=np.sqrt(0.5)).scores[0]
 
-        joined = cell_evidence.agreeing(query, view, CHANNELS, detail_rate=0.0)
-        larger = cell_evidence.agreeing(query, view, CHANNELS, detail_rate=0.9)
-        smaller = cell_evidence.agreeing(query, view, CHANNELS, detail_rate=0.1)
+        joined = cell_evidence.agreeing(query, view, CHANNELS, align_scale=0.0)
+        larger = cell_evidence.agreeing(query, view, CHANNELS, align_scale=0.9)
+        smaller = cell_evidence.agreeing(query, view, CHANNELS, align_scale=0.1)
 
         assert (joined.channel, larger.channel, smaller.channel) == (None, DETAIL, None)
         assert larger.similarity == pytest.approx(0.9 * alone, abs=1e-2)
-        assert cell_evidence.agreeing(query, view, CHANNELS, detail_rate=2.0).similarity == pytest.approx(1)
+        assert cell_evidence.agreeing(query, view, CHANNELS, align_scale=2.0).similarity == pytest.approx(1)
         assert larger.shape == (ROWS, COLUMNS)
 
     def test_the_winners_weigh_what_the_hough_vote_found(self) -> None:
         query, candidates = cells(5), np.stack([cells(6), cells(5), cells(7)])
         pairs = dense_cells.correspondences(query, candidates)
-        distinct = dense_cells.burstiness_weight(query)
+        burstiness = dense_cells.burstiness_weight(query)
 
-        won = hough.winning(pairs, distinct, (8, 12), 3, cell_aspect=np.ones((3, 2)))
+        won = hough.winning(pairs, burstiness, (8, 12), 3, cell_aspect=np.ones((3, 2)))
 
         summed = np.bincount(pairs.candidate[won.pairs], won.weights, 3)
         np.testing.assert_allclose(summed, won.heights)
         scores = dense_cells.compare(query, candidates).scores
-        np.testing.assert_allclose(np.sqrt(won.heights / hough.largest_weight(distinct)), scores, atol=1e-6)
+        np.testing.assert_allclose(np.sqrt(won.heights / hough.largest_weight(burstiness)), scores, atol=1e-6)
 
 
 class TestContrast:

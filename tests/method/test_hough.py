@@ -11,7 +11,7 @@ SIZES = st.sampled_from((1.0, 1.0, 0.5, 0.77, 1.3))
 
 def largest_weight(
     pairs: Correspondences,
-    distinct: np.ndarray,
+    burstiness: np.ndarray,
     shape: tuple[int, int],
     tolerance: int,
     cell_aspect: tuple[float, float] = (1.0, 1.0),
@@ -24,7 +24,7 @@ def largest_weight(
             np.stack(np.divmod(cell, shape[1]), axis=1) - centre for cell in (pairs.query_cell, pairs.candidate_cell)
         )
         moved = np.rint(np.array(cell_aspect) * theirs / np.sqrt(zoom) - ours * np.sqrt(zoom))
-        weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
+        weight = pairs.cosine.astype(np.float64) ** 2 * burstiness[pairs.query_cell]
         for down in range(-reach[0], reach[0] + 1):
             for across in range(-reach[1], reach[1] + 1):
                 near = (np.abs(moved - [down, across]) <= tolerance).all(axis=1)
@@ -46,7 +46,7 @@ def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
     cells = shape[0] * shape[1]
     taken = np.flatnonzero(rng.random(cells) < 0.7)
     theirs, cosine = rng.permutation(cells)[: len(taken)], rng.uniform(0.1, 1, len(taken)).astype(np.float32)
-    distinct = rng.uniform(0.1, 1, cells).astype(np.float32)
+    burstiness = rng.uniform(0.1, 1, cells).astype(np.float32)
 
     def of(candidates: int) -> Correspondences:
         candidate = np.repeat(np.arange(candidates), len(taken))
@@ -55,11 +55,11 @@ def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
         )
 
     some = len(cell_aspects)
-    found = hough.agreement(of(some), distinct, shape, some, tolerance=tolerance, cell_aspect=np.array(cell_aspects))
+    found = hough.agreement(of(some), burstiness, shape, some, tolerance=tolerance, cell_aspect=np.array(cell_aspects))
 
-    heaviest = [largest_weight(of(1), distinct, shape, tolerance, cell_aspect) for cell_aspect in cell_aspects]
-    assert found.scores == pytest.approx(np.sqrt(np.minimum(1, heaviest / distinct.sum())), abs=1e-6)
-    [plain] = hough.agreement(of(1), distinct, shape, 1, tolerance=tolerance).scores
+    heaviest = [largest_weight(of(1), burstiness, shape, tolerance, cell_aspect) for cell_aspect in cell_aspects]
+    assert found.scores == pytest.approx(np.sqrt(np.minimum(1, heaviest / burstiness.sum())), abs=1e-6)
+    [plain] = hough.agreement(of(1), burstiness, shape, 1, tolerance=tolerance).scores
     assert all(
         score == plain
         for score, cell_aspect in zip(found.scores, cell_aspects, strict=True)

@@ -79,8 +79,8 @@ def test_they_are_read_by_detail_alone_only_where_views_are(in_full: int) -> Non
     grid = QUERY.appearance.coarse, looks_like_it.appearance.coarse[None]
     expected = histograms + weights["dense"] * float(dense_cells.compare(*grid).scores[0])
     if in_full:
-        distinct = dense_cells.burstiness_weight(QUERY.cells)
-        full = dense_cells.compare(QUERY.cells, looks_like_it.cells[None], distinct=distinct)
+        burstiness = dense_cells.burstiness_weight(QUERY.cells)
+        full = dense_cells.compare(QUERY.cells, looks_like_it.cells[None], burstiness=burstiness)
         expected += weights["dense_full"] * float(full.scores[0])
 
     together, alone = (score(of([looks_like_it]), count) for count in (0, 3))

@@ -229,26 +229,26 @@ def compare_full(
         return
     first = evidence.best(config.full_resolution_top_k)
     cells = np.stack(fetch.cells(evidence.seqs(first)))
-    places = [evidence.place[int(row)] for row in first]
-    aspect = evidence.cell_aspect[places]
-    known, channels = evidence.distinct, recipe.parameters.cell_channels()
+    indices = [evidence.index[int(row)] for row in first]
+    aspect = evidence.cell_aspect[indices]
+    known, channels = evidence.burstiness, recipe.parameters.cell_channels()
     if "all" not in known:
         known["all"] = dense_cells.burstiness_weight(query.cells, product=product)
-    agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect, distinct=known["all"])
+    agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect, burstiness=known["all"])
     scores, parts = agreement.scores, agreement.cells
-    some = config.detail_only(recipe)
-    evidence.joined_only.update(first[some:].tolist())
-    if some:
+    count = config.detail_only(recipe)
+    evidence.joined_only.update(first[count:].tolist())
+    if count:
         if DETAIL not in known:
-            known[DETAIL] = channel_fusion.distinct_in(query.cells, channels, DETAIL, product)
+            known[DETAIL] = channel_fusion.single_channel_burstiness(query.cells, channels, DETAIL, product)
         alone = channel_fusion.single_channel_agreement(
-            query.cells, cells[:some], channels, DETAIL, product, cell_aspect=aspect[:some], distinct=known[DETAIL]
+            query.cells, cells[:count], channels, DETAIL, product, cell_aspect=aspect[:count], burstiness=known[DETAIL]
         )
         scores = channel_fusion.max_fusion(scores, alone.scores, evidence.align_scale)
         parts = channel_fusion.max_fusion_cells(agreement, alone, evidence.align_scale)
     evidence.cells = dict(zip(first.tolist(), parts, strict=True))
     evidence.put("dense_full", first, scores * dense_cells.scale_penalty(agreement.scales, config.scale_penalty))
-    evidence.shifts[places] = agreement.shifts
+    evidence.shifts[indices] = agreement.shifts
     evidence.scales = dict(zip(first.tolist(), agreement.scales.tolist(), strict=True))
 
 
@@ -289,7 +289,7 @@ def compare_impostors(
     usual = {name: float(found[evidence.rows].mean()) for name, found in evidence.candidates.distances.items()}
     near = impostors.near(query.vectors, query.appearance.coarse, product, usual)
     theirs = compare_histograms(near, recipe, few, impostors, len(near.seqs), {})
-    theirs.align_scale, theirs.distinct = evidence.align_scale, evidence.distinct
+    theirs.align_scale, theirs.burstiness = evidence.align_scale, evidence.burstiness
     compare_coarse(query, recipe, theirs, impostors, product)
     if theirs.terms["dense"].max() < rival:
         return None
@@ -369,24 +369,24 @@ def _usual_dense(evidence: Evidence) -> tuple[float, float]:
 
 def _dense_of(evidence: Evidence, row: int, usual: tuple[float, float]) -> DenseEvidence | None:
     """Dense evidence of one candidate; None where its cells were not compared."""
-    if row not in evidence.place or evidence.shifts is None:
+    if row not in evidence.index or evidence.shifts is None:
         return None
-    down, across = evidence.shifts[evidence.place[row]].tolist()
-    rate = 0.0 if row in evidence.joined_only else evidence.align_scale
-    return DenseEvidence(float(evidence.terms["dense"][row]), *usual, (down, across), evidence.scales.get(row), rate)
+    down, across = evidence.shifts[evidence.index[row]].tolist()
+    factor = 0.0 if row in evidence.joined_only else evidence.align_scale
+    return DenseEvidence(float(evidence.terms["dense"][row]), *usual, (down, across), evidence.scales.get(row), factor)
 
 
 def _graph_of(evidence: Evidence, row: int) -> GraphEvidence | None:
     """Graph evidence of one candidate; None where its graph was not compared."""
-    if row not in evidence.place or evidence.graph is None:
+    if row not in evidence.index or evidence.graph is None:
         return None
-    place = evidence.place[row]
-    matched = evidence.graph.matched[place]
+    index = evidence.index[row]
+    matched = evidence.graph.matched[index]
     nodes = np.flatnonzero(matched >= 0)
     return GraphEvidence(
-        similarity=float(evidence.graph.similarity[place]),
-        view=evidence.appearances[place].graph,
+        similarity=float(evidence.graph.similarity[index]),
+        view=evidence.appearances[index].graph,
         pairs=tuple((int(node), int(matched[node])) for node in nodes),
-        cosines=tuple(float(c) for c in evidence.graph.cosines[place, nodes]),
-        edges_agreeing=int(evidence.graph.edges_agreeing[place]),
+        cosines=tuple(float(c) for c in evidence.graph.cosines[index, nodes]),
+        edges_agreeing=int(evidence.graph.edges_agreeing[index]),
     )

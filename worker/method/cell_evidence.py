@@ -109,7 +109,7 @@ def agreeing(
     channels: Collection[str],
     *,
     cell_aspect: Doubles | None = None,
-    detail_rate: float = 0.0,
+    align_scale: float = 0.0,
     product: Product = float_product,
 ) -> CellEvidence:
     """The agreeing cells of a query and one candidate, by that comparison which counted in the ranking.
@@ -122,7 +122,7 @@ def agreeing(
         The channels that the cells join.
     cell_aspect : float64 of shape (2,), optional
         Height and width of the candidate's cells relative to the query's; without it, 1.
-    detail_rate : float
+    align_scale : float
         Factor on the similarity of detail alone (`worker.method.cascade.DenseEvidence`): when that is larger, its
         cells are returned, with weights times the square of the factor. 0 compares all channels together only.
     product : Product
@@ -133,10 +133,10 @@ def agreeing(
         As `worker.method.dense_cells.correspondences`.
     """
     joined = _agreeing(query, candidate, cell_aspect, product)
-    if detail_rate <= 0:
+    if align_scale <= 0:
         return joined
     ours, theirs = (slice_channel(cells, channels, DETAIL) for cells in (query, candidate))
-    alone = _agreeing(ours, theirs, cell_aspect, product, length(ours), rate=detail_rate, channel=DETAIL)
+    alone = _agreeing(ours, theirs, cell_aspect, product, length(ours), factor=align_scale, channel=DETAIL)
     return alone if alone.similarity > joined.similarity else joined
 
 
@@ -183,16 +183,16 @@ def _agreeing(
     product: Product,
     length: float = 1.0,
     *,
-    rate: float = 1.0,
+    factor: float = 1.0,
     channel: str | None = None,
 ) -> CellEvidence:
-    """The agreeing cells by one comparison; the similarity counts `rate` times, and is 1 at most."""
+    """The agreeing cells by one comparison; the similarity counts `factor` times, and is 1 at most."""
     shape = (query.shape[0], query.shape[1])
     pairs = correspondences(query, candidate[None], product, length)
-    distinct = burstiness_weight(query, product=product, length=length)
+    burstiness = burstiness_weight(query, product=product, length=length)
     aspect = np.ones(2) if cell_aspect is None else cell_aspect
-    won = hough.winning(pairs, distinct, shape, 1, cell_aspect=aspect[None])
-    weight = won.weights / hough.largest_weight(distinct) * rate**2
+    won = hough.winning(pairs, burstiness, shape, 1, cell_aspect=aspect[None])
+    weight = won.weights / hough.largest_weight(burstiness) * factor**2
     kept = weight > 0
     weight = weight[kept] / max(1.0, float(weight.sum()))
     return CellEvidence(

@@ -18,7 +18,7 @@ REFERENCE_QUANTILE = 0.85
 """Quantile over the candidates at which two similarities are aligned: high enough to hold for rare kinds of places, and
 below the few other views of the right place."""
 
-LARGEST_RATE = 2.0
+LARGEST_ALIGN_SCALE = 2.0
 """Upper limit of `align_scale`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the query in
 one channel (a blank wall, thick fog), the factor would otherwise amplify noise without bound."""
 
@@ -64,7 +64,7 @@ def single_channel_agreement(
     product: Product = float_product,
     *,
     cell_aspect: Doubles | None = None,
-    distinct: Floats | None = None,
+    burstiness: Floats | None = None,
 ) -> Agreement:
     """How well candidates agree with a query by the cells of one channel.
 
@@ -75,8 +75,8 @@ def single_channel_agreement(
     channels, channel
         As in `slice_channel`.
     product : Product
-    cell_aspect, distinct
-        As in `worker.method.dense_cells.compare`, the latter as `distinct_in` gives it.
+    cell_aspect, burstiness
+        As in `worker.method.dense_cells.compare`, the latter as `single_channel_burstiness` gives it.
 
     Returns
     -------
@@ -85,11 +85,13 @@ def single_channel_agreement(
     """
     ours, theirs = (slice_channel(cells, channels, channel) for cells in (query, candidates))
     return dense_cells.compare(
-        ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False, distinct=distinct
+        ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False, burstiness=burstiness
     )
 
 
-def distinct_in(query: Int8s, channels: Collection[str], channel: str, product: Product = float_product) -> Floats:
+def single_channel_burstiness(
+    query: Int8s, channels: Collection[str], channel: str, product: Product = float_product
+) -> Floats:
     """`worker.method.dense_cells.burstiness_weight` of a query by the cells of one channel."""
     ours = slice_channel(query, channels, channel)
     return dense_cells.burstiness_weight(ours, product=product, length=length(ours))
@@ -108,13 +110,13 @@ def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE)
     Returns
     -------
     float
-        Ratio of the two `high` quantiles, joined over alone, at most `LARGEST_RATE`; 0 where that of `alone` is 0.
+        Quotient of the two quantiles, joined over alone, at most `LARGEST_ALIGN_SCALE`; 0 where that of `alone` is 0.
     """
     usual, other = (float(np.quantile(scores, high)) for scores in (joined, alone))
-    return min(usual / other, LARGEST_RATE) if other > 0 else 0.0
+    return min(usual / other, LARGEST_ALIGN_SCALE) if other > 0 else 0.0
 
 
-def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
+def max_fusion(joined: Floats, alone: Floats, factor: float) -> Floats:
     """For each candidate the larger of its joined and its scaled single-channel similarity.
 
     Parameters
@@ -122,7 +124,7 @@ def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
     joined : float32 of shape (n,)
     alone : float32 of shape (m,)
         Single-channel similarities of the first m candidates, m at most n.
-    rate : float
+    factor : float
         From `align_scale`.
 
     Returns
@@ -131,13 +133,13 @@ def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
         At most 1 where `joined` is at most 1.
     """
     merged = joined.copy()
-    merged[: len(alone)] = np.maximum(joined[: len(alone)], np.minimum(alone * np.float32(rate), 1))
+    merged[: len(alone)] = np.maximum(joined[: len(alone)], np.minimum(alone * np.float32(factor), 1))
     return merged
 
 
-def max_fusion_cells(joined: Agreement, alone: Agreement, rate: float) -> Floats:
+def max_fusion_cells(joined: Agreement, alone: Agreement, factor: float) -> Floats:
     """Weights of the query's cells by that comparison which `max_fusion` takes, float32 (n, cells)."""
     taken, first = joined.cells.copy(), len(alone.scores)
-    larger = alone.scores * np.float32(rate) > joined.scores[:first]
-    taken[:first][larger] = alone.cells[larger] * np.float32(rate**2)
+    larger = alone.scores * np.float32(factor) > joined.scores[:first]
+    taken[:first][larger] = alone.cells[larger] * np.float32(factor**2)
     return taken

@@ -218,7 +218,7 @@ def compare(
     *,
     cell_aspect: Doubles | None = None,
     measured: bool = True,
-    distinct: Floats | None = None,
+    burstiness: Floats | None = None,
 ) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
 
@@ -234,7 +234,7 @@ def compare(
         it, all 1.
     measured : bool
         Whether to estimate scales; if not, they are all 1.
-    distinct : float32 of shape (rows * columns,), optional
+    burstiness : float32 of shape (rows * columns,), optional
         `burstiness_weight` of the query, where that is known.
 
     Raises
@@ -243,10 +243,10 @@ def compare(
         As `correspondences`.
     """
     pairs = correspondences(query, candidates, product, length)
-    if distinct is None:
-        distinct = burstiness_weight(query, product=product, length=length)
+    if burstiness is None:
+        burstiness = burstiness_weight(query, product=product, length=length)
     shape = query.shape[0], query.shape[1]
-    return agreement(pairs, distinct, shape, len(candidates), cell_aspect=cell_aspect, measured=measured)
+    return agreement(pairs, burstiness, shape, len(candidates), cell_aspect=cell_aspect, measured=measured)
 
 
 def scale_penalty(scales: Floats, exponent: float) -> Floats:

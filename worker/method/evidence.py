@@ -39,8 +39,8 @@ class DenseEvidence:
         (rows, columns) by which the view's grid is displaced, in full-resolution cells of the query.
     scale : float or None
         How much larger the view shows the place than the query does, 0.5..2; None without full-resolution comparison.
-    detail_rate : float
-        Factor on the similarity of detail alone, where that was compared too at the last resolution; otherwise 0.
+    align_scale : float
+        As in `Evidence`, where detail alone was compared too at the last resolution; otherwise 0.
     """
 
     similarity: float
@@ -48,7 +48,7 @@ class DenseEvidence:
     p85_similarity: float
     shift: tuple[int, int]
     scale: float | None
-    detail_rate: float = 0.0
+    align_scale: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ class Evidence:
         Displacements (rows, columns) of their grids, in full-resolution cells of the query.
     align_scale : float
         Factor that brings similarities of detail alone to the level of those of all channels; 0: not known yet.
-    distinct : dict of channel to float32 of shape (rows * columns,)
+    burstiness : dict of channel to float32 of shape (rows * columns,)
         Burstiness weights of the query's cells by that channel, and by ``all``, once computed.
     scales : dict of candidate to float
         How much larger a candidate shows the place; only of those compared at full resolution.
@@ -230,6 +230,11 @@ class Evidence:
     graph : GraphComparison or None
         Of `rows`.
     verified : dict of candidate to Verified
+
+    Attributes
+    ----------
+    index : dict of candidate to int
+        Where it stands in `rows`, and so in what is known of these alone.
     """
 
     candidates: Candidates
@@ -241,7 +246,7 @@ class Evidence:
     cell_aspect: Doubles = field(default_factory=lambda: np.ones((0, 2)))
     shifts: npt.NDArray[np.intp] | None = None
     align_scale: float = 0.0
-    distinct: dict[str, Floats] = field(default_factory=dict)
+    burstiness: dict[str, Floats] = field(default_factory=dict)
     scales: dict[int, float] = field(default_factory=dict)
     cells: dict[int, Floats] = field(default_factory=dict)
     joined_only: set[int] = field(default_factory=set)
@@ -249,7 +254,7 @@ class Evidence:
     verified: dict[int, Verified] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.place = {int(row): place for place, row in enumerate(self.rows)}
+        self.index = {int(row): index for index, row in enumerate(self.rows)}
 
     def put(self, term: str, rows: Rows, values: Floats) -> None:
         """Set a term of some candidates; it is 0 for the others."""

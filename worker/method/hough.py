@@ -103,7 +103,7 @@ def cell_aspects(query: tuple[float, float], candidates: Sequence[tuple[float, f
 
 def agreement(
     pairs: Correspondences,
-    distinct: Floats,
+    burstiness: Floats,
     shape: tuple[int, int],
     candidates: int,
     zooms: Sequence[float] = ZOOMS,
@@ -117,7 +117,7 @@ def agreement(
     Parameters
     ----------
     pairs : Correspondences
-    distinct : float32 of shape (rows * columns,)
+    burstiness : float32 of shape (rows * columns,)
         Burstiness weight of each query cell, at least 0.
     shape : (int, int)
         Rows and columns of the grids.
@@ -145,7 +145,7 @@ def agreement(
     decide alone.
     """
     cell_aspect = np.ones((candidates, 2)) if cell_aspect is None else cell_aspect
-    won = winning(pairs, distinct, shape, candidates, zooms, tolerance, cell_aspect=cell_aspect)
+    won = winning(pairs, burstiness, shape, candidates, zooms, tolerance, cell_aspect=cell_aspect)
     score, chosen, weight = won.heights, won.zooms, won.weights
     candidate = pairs.candidate[won.pairs]
     ours = _centred(pairs.query_cell[won.pairs], shape)
@@ -158,7 +158,7 @@ def agreement(
     ]
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None]
     scale = _scale(candidate, ours, theirs, weight, candidates) if measured else np.ones(candidates)
-    largest, cells = largest_weight(distinct), shape[0] * shape[1]
+    largest, cells = largest_weight(burstiness), shape[0] * shape[1]
     agreeing = np.bincount(candidate * cells + pairs.query_cell[won.pairs], weight, candidates * cells)
     return Agreement(
         np.sqrt(np.minimum(score / largest, 1)).astype(np.float32),
@@ -193,7 +193,7 @@ class Winning:
 
 def winning(
     pairs: Correspondences,
-    distinct: Floats,
+    burstiness: Floats,
     shape: tuple[int, int],
     candidates: int,
     zooms: Sequence[float] = ZOOMS,
@@ -202,7 +202,7 @@ def winning(
     cell_aspect: Doubles,
 ) -> Winning:
     """The correspondences that make the score of each candidate; parameters and weights as in `agreement`."""
-    weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
+    weight = pairs.cosine.astype(np.float64) ** 2 * burstiness[pairs.query_cell]
     slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, cell_aspect)
     heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
     score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
@@ -214,9 +214,9 @@ def winning(
     return Winning(agree, weight[agree], score, chosen)
 
 
-def largest_weight(distinct: Floats) -> float:
+def largest_weight(burstiness: Floats) -> float:
     """The weight of an image's cells against themselves: the sum of burstiness weights, at least 1e-6."""
-    return max(float(distinct.sum()), 1e-6)
+    return max(float(burstiness.sum()), 1e-6)
 
 
 def _scale(candidate: Indices, ours: Along, theirs: Along, weight: Doubles, candidates: int) -> Doubles:

@@ -84,17 +84,17 @@ class QueryResult:
 
     @property
     def leading(self) -> SearchOutcome:
-        """What has the first place."""
+        """The maps, searched as one, that have the first place."""
         return self.found[self.joined.leading]
 
     @property
     def results(self) -> RankedResults:
-        """Those that have the first place."""
+        """What was found in the leading maps."""
         return self.leading.results
 
     @property
     def description(self) -> Description:
-        """Of the query image, by the recipe of the first place's map."""
+        """The description of the query image by the recipe of the leading maps."""
         return self.leading.description
 
     @property

@@ -12,7 +12,7 @@ from worker.service.comparing import Descriptions
 from worker.service.duplicates import NearDuplicates, named, told
 from worker.service.ports import Maps
 from worker.service.results import RankedResults
-from worker.service.searching import RecipeChanged, Searcher
+from worker.service.searching import DescribedByAnother, Searcher
 from worker.service.twins import would_match
 
 log = logging.getLogger("revisit.service")
@@ -66,7 +66,7 @@ class Resemblances:
             others = {view.map: Filters(exclude=(view.id,))}
             found = self._searcher.search(others, recipe, description, top=TOP)
             same = None if judged else self._duplicates.of(view.map, recipe.id, description, but=view.seq)
-        except (NotFound, RecipeChanged, Unavailable):  # the view, or its map, changes too fast to tell
+        except (NotFound, DescribedByAnother, Unavailable):  # the view, or its map, changes too fast to tell
             return ()
         except RevisitError as error:
             log.error("view %s is not compared with its map: %s", view.id, error.detail)

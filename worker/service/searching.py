@@ -32,7 +32,7 @@ ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
 
 
-class RecipeChanged(Exception):
+class DescribedByAnother(Exception):
     """The map's recipe changed while the query was described: it must be described by the new one."""
 
 
@@ -126,7 +126,7 @@ class Searcher:
                     results = self.search(together, recipe, description, top=top, candidates=candidates)
                     found.append(SearchOutcome(description, results))
                 return found, list(described.values())
-            except RecipeChanged:
+            except DescribedByAnother:
                 describers = {name: self.describer(name) for name in maps}
 
     def _alike(self, maps: Mapping[str, Filters]) -> list[Mapping[str, Filters]]:
@@ -167,7 +167,7 @@ class Searcher:
         ------
         NotFound
             There is no such map.
-        RecipeChanged
+        DescribedByAnother
             A map's recipe is no longer `recipe` when the search begins, or the maps are no longer of one kind.
         Unavailable
             Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
@@ -199,7 +199,7 @@ class Searcher:
         indexes = [self._catalogue.index(name) for name in maps]
         records = [record for _, record in indexes]
         if records[0].description.id != recipe.id or len({_kind(record) for record in records}) > 1:
-            raise RecipeChanged
+            raise DescribedByAnother
         config = records[0].ranking
         # Not only as many as are wanted: what is found decides the order, and must not depend on that.
         count = max(top, cascade.LISTED, config.searched if candidates is None else candidates)

@@ -70,7 +70,7 @@ def cells_of(explained: Explained, scored: ScoredView, stored: Int8s | None) -> 
         stored,
         explained.results.recipe.description.parameters.cell_channels(),
         cell_aspect=hough.cell_aspects(query.appearance.extent, [extent])[0],
-        detail_rate=scored.dense.detail_rate,
+        align_scale=scored.dense.align_scale,
     )
 
 
