@@ -84,24 +84,6 @@ def fit_isotonic(features: Doubles, right: Booleans) -> Isotonic:
     return Isotonic(knots, np.clip(pooled.x[starts], edge, 1 - edge))
 
 
-def threshold_for_precision(probability: Doubles, right: Booleans, precision: float) -> float:
-    """The lowest threshold whose claims are right at least this often; inf when there is none.
-
-    Parameters
-    ----------
-    probability : float64 of shape (n,)
-    right : bool of shape (n,)
-    precision : float
-        0..1.
-    """
-    order = np.argsort(-probability, kind="stable")
-    falling = probability[order]
-    share = np.cumsum(right[order]) / np.arange(1, len(order) + 1)
-    complete = np.append(falling[1:] != falling[:-1], True)  # equal probabilities are claimed together
-    good = falling[complete & (share >= precision)]
-    return float(good[-1]) if len(good) else float("inf")
-
-
 @dataclass(frozen=True, eq=False)
 class Reliability:
     """What was promised against what came true, per bin of probability.

@@ -81,11 +81,6 @@ def pooled(parts: Sequence[Decisions]) -> Decisions:
     )
 
 
-def verdicts_at(confidence: Doubles, matched: float, ambiguous: float) -> Names:
-    """Verdicts by two frozen thresholds, each inclusive, str (queries,): to compare with those of the service."""
-    return np.where(confidence >= matched, "matched", np.where(confidence >= ambiguous, "ambiguous", "no_match"))
-
-
 @dataclass(frozen=True, eq=False)
 class RiskCoverage:
     """The share of wrong ones among the accepted, over the share that is accepted.
@@ -110,10 +105,6 @@ class RiskCoverage:
     def excess_area(self) -> float:
         """Area above the least one: the part that better confidences could save."""
         return self.area - self.least_area
-
-    def coverage_at(self, risk: float) -> float:
-        """The largest coverage whose risk is at most this; 0 when there is none."""
-        return float(self.coverage[self.risk <= risk].max(initial=0.0))
 
 
 def risk_coverage(confidence: Doubles, right: Booleans) -> RiskCoverage:

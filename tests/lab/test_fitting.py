@@ -10,7 +10,6 @@ from lab.fitting import (
     judge,
     leave_one_out,
     reliability,
-    threshold_for_precision,
 )
 from lab.metrics.recall import Booleans, Doubles
 
@@ -94,14 +93,6 @@ def test_reliability_by_hand() -> None:
     bins = reliability(np.array([0.05, 0.95, 1.0, 0.95]), np.array([False, True, True, False]))
     assert bins.counts.tolist() == [1, 0, 0, 0, 0, 0, 0, 0, 0, 3]
     assert bins.expected_error == pytest.approx(1 / 4 * 0.05 + 3 / 4 * abs(2.9 / 3 - 2 / 3))
-
-
-def test_threshold_for_a_precision_by_hand() -> None:
-    p = np.array([0.9, 0.8, 0.8, 0.3])
-    right = np.array([True, True, False, True])
-    assert threshold_for_precision(p, right, 1.0) == 0.9
-    assert threshold_for_precision(p, right, 0.7) == 0.3
-    assert threshold_for_precision(p, ~right, 0.7) == float("inf")
 
 
 def test_a_set_that_is_unlike_the_others_shows() -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from training.data.images import Pixels, read_rgb
+from training.data.images import Pixels
 from training.data.sources import LABELLED, images_of
 
 COUNT = 5
@@ -84,12 +84,6 @@ def images_to_distil(data: Path) -> list[Path]:
 def token_file(image: Path, root: Path, folder: Path) -> Path:
     """Where the tokens of an image below `root` are cached in `folder`."""
     return folder / f"{hashlib.sha256(image.relative_to(root).as_posix().encode()).hexdigest()[:20]}.npy"
-
-
-def read_shape(path: Path) -> tuple[int, int]:
-    """Height and width of an image file."""
-    height, width = read_rgb(path).shape[:2]
-    return height, width
 
 
 def _photos(paths: Iterable[Path]) -> list[Path]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lab.metrics.decisions import Decisions, pooled, risk_coverage, summarise, verdicts_at
+from lab.metrics.decisions import Decisions, pooled, risk_coverage, summarise
 
 EIGHT = Decisions(
     confidence=np.array([0.95, 0.9, 0.85, 0.6, 0.5, 0.3, 0.8, 0.1]),
@@ -54,14 +54,6 @@ def test_equal_confidences_are_accepted_together() -> None:
     assert curve.risk.tolist() == [0, 0.25]
     assert curve.area == pytest.approx((0 + 3 * 0.25) / 4)
     assert curve.least_area == pytest.approx(0.25 / 4)
-    assert curve.coverage_at(0.1) == 0.25
-    assert curve.coverage_at(0.25) == 1
-    assert risk_coverage(np.array([0.5]), np.array([False])).coverage_at(0.1) == 0
-
-
-def test_thresholds_are_inclusive() -> None:
-    found = verdicts_at(np.array([0.9, 0.75, 0.74, 0.4, 0.39]), 0.75, 0.4)
-    assert found.tolist() == ["matched", "matched", "ambiguous", "ambiguous", "no_match"]
 
 
 def test_pooled_queries_keep_their_blocks() -> None:
