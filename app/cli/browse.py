@@ -200,6 +200,9 @@ def run_places(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show_json([place.model_dump(mode="json") for place in places])
         return DONE
+    if not places:
+        show("no view has the name of a place; `./revisit views` lists them")
+        return DONE
     rows = [
         (p.map, p.place, p.views, position_text(p.position), f"{p.last_enrolled_at:%Y-%m-%d %H:%M:%S}") for p in places
     ]

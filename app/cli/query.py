@@ -60,16 +60,16 @@ def run(arguments: argparse.Namespace) -> int:
             consistent=arguments.consistent,
             **filters,
         )
+        if arguments.json:  # before anything is written: a mistyped folder is no reason to lose the answer
+            show_json(answer.model_dump(mode="json"))
+        else:
+            show(told(answer))
         if arguments.explain is not None and answer.matches:
             arguments.explain.write_bytes(revisit.explanation(answer.query.id))
             say(f"explanation: {arguments.explain}")
         if answer.changes is not None and answer.changes.links:
             arguments.changes.write_bytes(revisit.draw_changes_of_query(answer.query.id))
             say(f"changes: {arguments.changes}")
-    if arguments.json:
-        show_json(answer.model_dump(mode="json"))
-    else:
-        show(told(answer))
     return DONE
 
 

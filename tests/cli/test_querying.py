@@ -64,12 +64,17 @@ def test_the_answer_as_json_is_the_services(service: FakeService, image: Path, c
     assert json.loads(capsys.readouterr().out)["matches"][0]["view"]["place"] == "square"
 
 
-def test_why_is_drawn_into_a_file(service: FakeService, image: Path, tmp_path: Path) -> None:
+def test_why_is_drawn_into_a_file_once_the_answer_is_told(
+    service: FakeService, image: Path, tmp_path: Path, capsys: Out
+) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(answers.match())
     service.replies["GET /queries/q1/explanation.png"] = 200, b"a png"
 
     assert main(["query", str(image), "--explain", str(tmp_path / "why.png")]) == 0
     assert (tmp_path / "why.png").read_bytes() == b"a png"
+    capsys.readouterr()
+    assert main(["query", str(image), "--explain", str(tmp_path / "missing" / "why.png")]) == 1
+    assert capsys.readouterr().out.startswith("This place is known.")
 
 
 CHANGED = {
@@ -249,6 +254,10 @@ def test_places(service: FakeService, capsys: Out) -> None:
 
     assert main(["places"]) == 0
     assert "square" in capsys.readouterr().out
+
+    service.replies["GET /places"] = 200, {"places": [], "next": None}
+    assert main(["places"]) == 0
+    assert "`./revisit views`" in capsys.readouterr().out
 
 
 def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, capsys: Out) -> None:
