@@ -230,7 +230,7 @@ def pose_of(answer: QueryAnswer) -> tuple[Json, float | None, Json]:
         raise NoPose(f"{answer.reason.detail}; {answer.reason.remedy}")
     at = None if answer.estimate is None else answer.estimate.position
     if answer.estimate is None or at is None or at.lat is None or at.lon is None:
-        raise NoPose(f"the place is known; its views in the map {answer.map!r} have no lat and lon: enrol them with")
+        raise NoPose(f"the place is known; its views in the map {answer.map!r} lack lat and lon: enrol them with both")
     seen = answer.matches[0].view.position
     heading = None if seen is None else seen.heading
     accuracy = {

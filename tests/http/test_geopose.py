@@ -178,7 +178,8 @@ def test_a_request_is_a_query_whose_image_is_not_kept(client: CheckedClient, rec
     sent = client.post("/localize/geopose?map=campus&precision=0.99", json=request(priorPoses=[PRIOR]), headers=OSCP)
 
     assert sent.status_code == 404  # the fake's places have no lat and lon
-    assert set(sent.json()) == {"ERROR"}
+    assert list(sent.json()) == ["ERROR"]
+    assert sent.json()["ERROR"].endswith("lack lat and lon: enrol them with both")
     assert sent.headers["content-type"] == geopose.OSCP_VERSION
     assert (recogniser.given["map"], recogniser.given["precision"]) == ("campus", 0.99)
     assert recogniser.given["keep"] is False
