@@ -1,8 +1,10 @@
 """API documentation as plain HTML that loads nothing from other hosts."""
 
 import json
+import re
 from collections.abc import Mapping
 from html import escape
+from operator import itemgetter
 from typing import Any
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self'"
@@ -35,14 +37,17 @@ def _page(title: str, body: str) -> str:
 
 def docs(document: Json, host: str) -> str:
     """The OpenAPI document as one page; `host` is how the reader reaches the service, with the port."""
-    by_tag: dict[str, list[str]] = {}
+    by_tag: dict[str, list[tuple[str, str]]] = {}
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
             tag = operation.get("tags", ["other"])[0]
-            by_tag.setdefault(tag, []).append(_operation(method, path, operation))
-    sections = "".join(f"<h2>{escape(tag)}</h2>{''.join(items)}" for tag, items in by_tag.items())
+            by_tag.setdefault(tag, []).append((path, _operation(method, path, operation)))
+    sections = "".join(
+        f"<h2>{escape(tag)}</h2>{''.join(item for _, item in sorted(items, key=itemgetter(0)))}"
+        for tag, items in by_tag.items()
+    )
     info = document["info"]
-    intro = "".join(f"<p>{escape(part)}</p>" for part in info["description"].split("\n\n"))
+    intro = _paragraphs(info["description"])
     return _page(
         f"{info['title']} API",
         f"<h1>{escape(info['title'])} API <span class='quiet'>{escape(info['version'])}</span></h1>{intro}"
@@ -53,7 +58,8 @@ def docs(document: Json, host: str) -> str:
 
 
 def _operation(method: str, path: str, operation: Json) -> str:
-    parts = [f"<p>{escape(operation.get('description', ''))}</p>"]
+    what, _, more = operation.get("description", "").partition("\n\n")
+    parts = [_paragraphs(more)]
     if parameters := operation.get("parameters"):
         rows = "".join(_parameter(p) for p in parameters)
         parts.append(f"<table><tr><th>parameter</th><th>type</th><th>meaning</th></tr>{rows}</table>")
@@ -62,13 +68,14 @@ def _operation(method: str, path: str, operation: Json) -> str:
         parts.append(f"<p>Body: {kinds}</p>")
         parts += [_example(c["example"]) for c in list(body["content"].values())[:1] if "example" in c]
     for status, response in operation["responses"].items():
-        parts.append(f"<p><b>{escape(str(status))}</b> {escape(response.get('description', ''))}</p>")
         content = response.get("content", {}).get("application/json", {})
+        shape = _type(content["schema"]) if "schema" in content else ""
+        parts.append(f"<p><b>{escape(str(status))}</b> {_text(response.get('description', ''))} {shape}</p>")
         if "example" in content:
             parts.append(_example(content["example"]))
     return (
         f"<details><summary><span class='m'>{method.upper()}</span> <code>{escape(path)}</code> "
-        f"<span class='quiet'>{escape(operation.get('summary', ''))}</span></summary>{''.join(parts)}</details>"
+        f"<span class='quiet'>{_text(what)}</span></summary>{''.join(parts)}</details>"
     )
 
 
@@ -78,40 +85,50 @@ def _parameter(parameter: Json) -> str:
     default = f" Default <code>{escape(json.dumps(schema['default']))}</code>." if "default" in schema else ""
     return (
         f"<tr><td><code>{escape(parameter['name'])}</code> <span class='quiet'>{parameter['in']}</span></td>"
-        f"<td>{escape(_type(schema))}</td><td>{escape(parameter.get('description', ''))}{default}{needed}</td></tr>"
+        f"<td>{_type(schema)}</td><td>{_text(parameter.get('description', ''))}{default}{needed}</td></tr>"
     )
 
 
 def _shape(name: str, schema: Json) -> str:
     summary = schema.get("description", "").partition("\n")[0]
     rows = "".join(
-        f"<tr><td><code>{escape(field)}</code></td><td>{escape(_type(s))}</td>"
-        f"<td>{escape(s.get('description', ''))}</td></tr>"
+        f"<tr><td><code>{escape(field)}</code></td><td>{_type(s)}</td><td>{_text(s.get('description', ''))}</td></tr>"
         for field, s in schema.get("properties", {}).items()
     )
     return (
         f"<details id='{escape(name)}'><summary><code>{escape(name)}</code> "
-        f"<span class='quiet'>{escape(summary)}</span></summary><table>{rows}</table></details>"
+        f"<span class='quiet'>{_text(summary)}</span></summary><table>{rows}</table></details>"
     )
 
 
 def _type(schema: Json) -> str:
-    """A JSON schema in a few words."""
+    """A JSON schema in a few words, with links to other shapes."""
     if "$ref" in schema:
-        return str(schema["$ref"]).rsplit("/", 1)[-1]
+        name = escape(str(schema["$ref"]).rsplit("/", 1)[-1])
+        return f"<a href='/docs#{name}'>{name}</a>"
     if branches := schema.get("anyOf"):
         return " or ".join(map(_type, branches))
     if "enum" in schema:
-        return " | ".join(map(str, schema["enum"]))
+        return escape(" | ".join(map(str, schema["enum"])))
     if schema.get("type") == "array":
         return f"list of {_type(schema.get('items', {}))}"
     bounds = [
-        f"{word} {schema[key]}"
+        f"{word} {schema[key]:g}"
         for key, word in (("minimum", "≥"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
         if key in schema
     ]
     kind = schema.get("type", "any")
-    return " ".join([" | ".join(kind) if isinstance(kind, list) else str(schema.get("format", kind)), *bounds])
+    words = [" | ".join(kind) if isinstance(kind, list) else str(schema.get("format", kind)), *bounds]
+    return escape(" ".join(words))
+
+
+def _paragraphs(text: str) -> str:
+    return "".join(f"<p>{_text(part)}</p>" for part in text.split("\n\n") if part)
+
+
+def _text(text: str) -> str:
+    """A description, with what stands in backticks as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def _example(value: object) -> str:

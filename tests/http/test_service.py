@@ -172,6 +172,17 @@ def test_the_docs_name_every_route_and_parameter(client: CheckedClient) -> None:
                 assert f"<code>{parameter['name']}</code>" in page
 
 
+def test_the_docs_say_what_each_route_does_and_lead_to_the_shapes_of_its_answers(client: CheckedClient) -> None:
+    page = client.get("/docs").text
+
+    [query] = re.findall(r"<summary>.*?<code>/query</code>(.*?)</summary>(.*?)</details>", page, re.DOTALL)
+    assert "Which views of a map, or of several, show the place of this image?" in query[0]
+    assert "With <code>Accept: application/geopose+json</code> the answer is the pose of these views" in query[1]
+    assert "<a href='/docs#QueryAnswer'>QueryAnswer</a>" in query[1]
+    shapes = set(re.findall(r"<details id='(\w+)'>", page))
+    assert shapes >= set(re.findall(r"'/docs#(\w+)'", page))
+
+
 # the OpenAPI document
 
 
