@@ -57,7 +57,7 @@ class Image:
 
 @dataclass(frozen=True)
 class PreparedImage(Image):
-    """An image as a segmentation network sees it, for one that is shared: the photo itself stays with who has it.
+    """An image as it is sent to a shared segmentation network: at the scales at which that sees it, not the photo.
 
     Parameters
     ----------

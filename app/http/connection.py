@@ -176,12 +176,12 @@ class BoundedProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
-        """See that a client reads on which is sent more than it has read."""
+        """The client reads more slowly than it is sent to: give it up where it reads no more."""
         super().pause_writing()
         self._watch_writing(PAUSED_S)
 
     def resume_writing(self) -> None:
-        """It did."""
+        """The client has caught up: watch it no longer."""
         super().resume_writing()
         self._unsent = 0
         if not self.finishing:

@@ -15,11 +15,11 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 AT_ONCE = 8
-"""What comes beyond waits for these."""
+"""Restorations, drawings and the like that are under way together; what comes beyond waits."""
 
 
 class LongWork:
-    """Runs functions in these threads.
+    """Runs functions in threads of its own, `at_once` of them at most.
 
     Parameters
     ----------
@@ -33,6 +33,6 @@ class LongWork:
         self._threads = ThreadPoolExecutor(at_once, name)
 
     async def run(self, call: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
-        """As `asyncio.to_thread`."""
+        """The result of a function that runs in one of the threads; as `asyncio.to_thread`."""
         call_in_context = partial(copy_context().run, call, *args, **kwargs)
         return await asyncio.get_running_loop().run_in_executor(self._threads, call_in_context)

@@ -61,7 +61,7 @@ def shipped_for(recipe: DescriptionRecipe, vocabulary_of: Callable[[str], Vocabu
 
 @cache
 def read(encoder: str) -> tuple[Mapping[str, object], Impostors] | None:
-    """What those of an encoder were described by, and they themselves."""
+    """What the impostors of an encoder were described by, and the impostors."""
     path = path_of(encoder)
     if not path.exists():
         return None
@@ -79,7 +79,7 @@ def _described_by(recipe: DescriptionRecipe) -> dict[str, object]:
 
 
 def _grid(described_by: Mapping[str, object]) -> dict[str, object]:
-    """Of that, what cells depend on besides the vocabulary, which has what reduces them."""
+    """The part of `_described_by` that decides about cells before a vocabulary reduces them."""
     channels = described_by["channels"]
     assert isinstance(channels, Mapping)
     layers = {name: channel["layer"] for name, channel in channels.items()}

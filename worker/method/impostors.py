@@ -91,7 +91,7 @@ class Impostors:
         return [self.full[seq] for seq in seqs]
 
     def known(self, seqs: Sequence[int]) -> list[KnownView]:
-        """Nothing."""
+        """They have no name, no position, and no map that compared them."""
         return [KnownView() for _ in seqs]
 
 

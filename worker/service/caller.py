@@ -18,7 +18,7 @@ class Caller:
         self._awaited: Future[Any] | None = None
 
     def leave(self) -> None:
-        """They do not wait any more; from any thread."""
+        """Note that they wait no longer, and cancel what has not begun; may be called from any thread."""
         with self._lock:
             self._gone, awaited = True, self._awaited
         if awaited is not None:

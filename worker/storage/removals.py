@@ -272,14 +272,16 @@ def _refuse_known(connection: sa.Connection, seqs: Sequence[int]) -> None:
 
 
 def _take_name(connection: sa.Connection, map_id: int) -> None:
-    """Without a name no call finds a map; its views are deleted next, or after a crash by who comes later."""
+    """Take the name of a map away, so that no call finds it; its views are deleted next, or after a crash later on."""
     left = {"name": None, "given_up_at": clock.shared_time(connection) + GIVEN_UP}
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**left))
 
 
 def _at_work(connection: sa.Connection, map_id: int) -> bool:
-    """Say that a map is being removed, so that no other finishes that, and who restored it stops; whether it has no
-    name."""
+    """Note that this process removes a map, so that no other does, and a restoration of it stops.
+
+    Returns whether there is anything to remove: a map that has no name.
+    """
     at = clock.shared_time(connection) + GIVEN_UP
     told = {"given_up_at": at, "checksum": MAPS.c.checksum}  # which does not cover the other
     nameless = MAPS.c.id == map_id, MAPS.c.name.is_(None)
