@@ -196,15 +196,15 @@ def follow(drive: Drive, single: Single) -> tuple[Drive, Doubles]:
         moves = learnt(drive, order, coherence * ratio / foretold)
     walked = weighed / foretold
     followed = Drive(
-        seqs,
-        order,
-        walked,
-        alike / foretold,
-        moves,
-        max(elsewhere, 0.0) / foretold,
-        nowhere / foretold,
-        coherence,
-        drive.images + 1,
+        seqs=seqs,
+        order=order,
+        walked=walked,
+        alike=alike / foretold,
+        moves=moves,
+        elsewhere=max(elsewhere, 0.0) / foretold,
+        nowhere=nowhere / foretold,
+        coherence=coherence,
+        images=drive.images + 1,
     )
     together = coherence * walked[here] + (1 - coherence) * single.probabilities
     return followed, together

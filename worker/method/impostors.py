@@ -80,7 +80,7 @@ class Impostors:
             for name, theirs in vectors.items()
         }
         ranks = {name: np.argsort(np.argsort(values, kind="stable")) + 1 for name, values in distances.items()}
-        return Candidates(0, len(self.full), seqs, seqs, distances, ranks)
+        return Candidates(revision=0, searched=len(self.full), seqs=seqs, order=seqs, distances=distances, ranks=ranks)
 
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
         """Half-resolution cells; the graphs are empty."""

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -87,7 +87,7 @@ def _ranked(found: VectorsFound, recipe: DescriptionRecipe, vectors: Mapping[str
     flat.apply(Changes(found.revision, recipe.id, found.seqs, found.vectors, _NONE))
     ranked = flat.search(vectors, count, Selection(None, _NONE))
     order = found.order[np.searchsorted(found.seqs, ranked.seqs)]
-    return Candidates(found.revision, found.searched, ranked.seqs, order, ranked.distances, ranked.ranks)
+    return replace(ranked, revision=found.revision, searched=found.searched, order=order)
 
 
 class DatabaseCatalogue:

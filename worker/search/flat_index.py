@@ -98,7 +98,9 @@ class FlatIndex:
         for name, rows in found.items():
             ranks[name] = np.zeros(len(union), np.int64)
             ranks[name][np.searchsorted(union, rows)] = np.arange(1, len(rows) + 1)
-        return Candidates(revision, available, seqs, union, distances, ranks)
+        return Candidates(
+            revision=revision, searched=available, seqs=seqs, order=union, distances=distances, ranks=ranks
+        )
 
     def sample(self) -> tuple[int, ...]:
         """Some views drawn from all; see `SearchableIndex.sample`."""

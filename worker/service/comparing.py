@@ -168,7 +168,7 @@ class MapComparer:
             return None
         except Exception:
             log.exception("the view with the sequence number %d could not be compared with its map", seq)
-            return Comparison(seq, None, None, (), among, 0)
+            return Comparison(seq, level=None, gap=None, same_spot=(), among=among, others=0)
 
     def _compare(
         self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
@@ -185,8 +185,8 @@ class MapComparer:
             found = self._search(index, query, usual, {seq})
             ranking = self._rank(query, found, recipe, config, fetcher)
             spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
-            own = {seq} | spot
-            near = own
+            same_spot = tuple(sorted(spot))
+            near = own = {seq} | spot
             places = _places(seq, found, fetcher, config)
             scored = zip(ranking.seqs, ranking.scores, strict=True)
             best = max((float(score) for other, score in scored if places.same(seq, int(other))), default=None)
@@ -198,7 +198,7 @@ class MapComparer:
                 if left_out.isdisjoint(seqs):
                     break
                 if len(left_out) > MOST_OWN:
-                    return Comparison(seq, None, None, tuple(sorted(spot)), among, 0, None, best)
+                    return Comparison(seq, level=None, gap=None, same_spot=same_spot, among=among, others=0, own=best)
                 found = self._search(index, query, usual << max(0, repeated + 1 - WIDENED), left_out)
                 places = _places(seq, found, fetcher, config)
             if repeated > WIDENED:
@@ -210,8 +210,17 @@ class MapComparer:
         rival = others.rival
         gap = None if level is None or rival is None else level - float(others.scores[rival])
         breadth = None if gap is None else others.breadth(others.rivals)
-        taken_for = None if level is None else int(others.seqs[0])
-        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best, breadth)
+        return Comparison(
+            seq,
+            level=level,
+            gap=gap,
+            same_spot=same_spot,
+            among=among,
+            others=found.searched,
+            rival=None if level is None else int(others.seqs[0]),
+            own=best,
+            breadth=breadth,
+        )
 
     def _search(self, index: SearchableIndex, query: Description, count: int, never: set[int]) -> Candidates:
         return index.search(query.vectors, count, Selection(None, np.array(sorted(never))))

@@ -117,7 +117,16 @@ def answer(
 ) -> ShadowAnswer:
     """An answer for the table; `found` is None where the image could not be described."""
     if found is None:
-        return ShadowAnswer("refused", 0.0, None, None, None, right, 0.0, None)
+        return ShadowAnswer(
+            status="refused",
+            confidence=0.0,
+            view=None,
+            place=None,
+            score=None,
+            right=right,
+            search_ms=0.0,
+            describe_ms=None,
+        )
     view = None if found.first is None else views.get(found.first)
     return ShadowAnswer(
         status=found.status,

@@ -82,7 +82,16 @@ class Keys(Part):
 
 def _record(row: sa.Row[Any]) -> KeyRecord:
     if not checksums.is_whole(KEYS, row, row.checksum):
-        return KeyRecord(str(row.id), str(row.name), b"", "read", (), Rates(), NEVER, revoked_at=NEVER)
+        return KeyRecord(
+            id=str(row.id),
+            name=str(row.name),
+            digest=b"",
+            scope="read",
+            maps=(),
+            rates=Rates(),
+            created_at=NEVER,
+            revoked_at=NEVER,
+        )
     return KeyRecord(
         id=row.id,
         name=row.name,
