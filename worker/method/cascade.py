@@ -319,8 +319,8 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         others = len(places.group([seqs[i] for i in rivals]))
     usual = _usual_dense(evidence)
 
-    def candidate(place: int) -> RankedCandidate:
-        return _candidate(evidence, score, parts, int(order[place]), usual)
+    def candidate(index: int) -> RankedCandidate:
+        return _candidate(evidence, score, parts, int(order[index]), usual)
 
     return Ranking(
         seqs=candidates.seqs[order],

@@ -298,10 +298,12 @@ def decide(
     places += [PlaceProbability(0.0, tuple(group)) for group in groups[len(decided) :]]
     confidence = places[0].probability
     status = calibration.verdict(confidence, precision)
-    if status == "ambiguous" and len(decided) == 1 and rival is None:
+    if status == "ambiguous" and len(decided) == 1 and rival is None:  # there is nothing that it could be instead
         status = "no_match"
+    # Whether the first place would be matched if there were no other place, and below, if there were no impostors.
     outrivalled = rival is not None and probability(first_features(ranking, (), usual, least, undisputed)) >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
+        # Places that the map itself takes for each other stand out together: it is one of them.
         together = first_features(ranking, views_unlike(ranking), usual, least, counts)
         if probability(together) >= threshold:
             status = "ambiguous"
