@@ -40,6 +40,11 @@ NOT_CALLED = "{} cannot be called: {}; see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, N
 """Of the setting that names a service, and why: what a SetupError says of an environment that cannot be used."""
 
 
+def unforeseen(error: Exception) -> str:
+    """What is said, beside the code ``internal``, of a job that failed by a fault of the program."""
+    return f"{type(error).__name__}; the service's log has the details"
+
+
 def echoed(name: str) -> str:
     """A name as a refusal repeats it: whole, or its beginning and its length."""
     return name if len(name) <= LONGEST_ECHO else f"{name[:LONGEST_ECHO]}… ({len(name)} characters)"
@@ -288,6 +293,10 @@ class LeaseLost(RevisitError):
     """A worker reported on a job that another worker has claimed meanwhile, or that was cancelled or deleted."""
 
     code = "lease-lost"
+
+
+class JobStopped(Exception):
+    """The worker that does a job stops: the job is put back, and nothing is wrong with it."""
 
 
 class CallerGone(RevisitError):

@@ -10,7 +10,16 @@ from typing import Protocol, Self
 import numpy as np
 
 from schemas.description import PixelField
-from schemas.errors import DiskFull, EncoderAway, LeaseLost, NotFound, RevisitError, StorageFailed
+from schemas.errors import (
+    DiskFull,
+    EncoderAway,
+    JobStopped,
+    LeaseLost,
+    NotFound,
+    RevisitError,
+    StorageFailed,
+    unforeseen,
+)
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, JobProgress, MapClaim, MapRecord, ViewRecord
@@ -22,10 +31,6 @@ log = logging.getLogger("revisit.worker")
 
 PAGE = 500
 """Views listed at a time."""
-
-
-class Stop(Exception):
-    """The worker is stopping: the job is put back."""
 
 
 class MapReader(Protocol):
@@ -123,7 +128,7 @@ class VocabularyTrainer:
                 )
             trained = recipe.model_copy(update={"vocabulary": learned.digest})
             self._jobs.finish_training(claim, trained, learned.tensors, _now())
-        except (Stop, EncoderAway):  # the latter only where the service stops while a shared encoder is away
+        except (JobStopped, EncoderAway):  # the latter only where the service stops while a shared encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or given to another worker", claim.job_id)
@@ -137,9 +142,7 @@ class VocabularyTrainer:
             self._jobs.fail_map_job(claim, error.code, error.detail, _now())
         except Exception as error:
             log.exception("training a vocabulary for the map %s failed", claim.map)
-            self._jobs.fail_map_job(
-                claim, "internal", f"{type(error).__name__}; the service's log has the details", _now()
-            )
+            self._jobs.fail_map_job(claim, "internal", unforeseen(error), _now())
 
     def _fields(
         self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]
@@ -155,7 +158,7 @@ class VocabularyTrainer:
         chosen = np.random.default_rng(seed).permutation(len(ids))[: vocabularies.MOST_IMAGES]
         for done, number in enumerate(chosen):
             if stopping():
-                raise Stop
+                raise JobStopped
             beat.tell(JobProgress(done, len(chosen)))
             try:
                 data = self._views.image(ids[number])

@@ -11,7 +11,17 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
-from schemas.errors import Conflict, EncoderAway, LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
+from schemas.errors import (
+    Conflict,
+    EncoderAway,
+    JobStopped,
+    LeaseLost,
+    NotFound,
+    PoorImage,
+    RevisitError,
+    StorageFailed,
+    unforeseen,
+)
 from schemas.image import Image
 from schemas.imports import ImportOptions
 from schemas.records import MapClaim, Submitted, ViewAttributes, ViewRecord
@@ -49,10 +59,6 @@ TOLD_EVERY_S = 0.5
 """Seconds between reports of progress, which also learn of a cancellation."""
 
 PAUSE_S = 0.02
-
-
-class _Stop(Exception):
-    """The worker is stopping: the job is put back."""
 
 
 class Importer:
@@ -118,7 +124,7 @@ class Importer:
                 with ThreadPoolExecutor(1, "revisit-importing", initializer=step_aside) as thread:
                     thread.submit(copy_context().run, run.all, items).result()
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
-        except (_Stop, EncoderAway):  # the latter where the service stops while a shared encoder, which blurs, is away
+        except (JobStopped, EncoderAway):  # the latter where the service stops while the encoder that blurs is away
             self._jobs.release_map_job(claim)
             return
         except LeaseLost:
@@ -140,15 +146,13 @@ class Importer:
             self._jobs.fail_map_job(claim, error.code, error.detail, _now())
         except Exception as error:
             log.exception("importing into the map %s failed", claim.map)
-            self._jobs.fail_map_job(
-                claim, "internal", f"{type(error).__name__}; the service's log has the details", _now()
-            )
+            self._jobs.fail_map_job(claim, "internal", unforeseen(error), _now())
         self._uploads.discard(claim.job_id)
 
     def _watch(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
-        """While a recording is fetched: raises _Stop, LeaseLost."""
+        """While a recording is fetched: raises JobStopped, LeaseLost."""
         if stopping():
-            raise _Stop
+            raise JobStopped
         try:
             state = self._jobs.get(claim.job_id).state
         except NotFound as error:
@@ -251,7 +255,7 @@ class _Run:
         self._told = 0.0
 
     def all(self, items: list[Item]) -> None:
-        """Import the items until their last view is described; raises _Stop, LeaseLost, DiskFull, StorageFailed."""
+        """Import the items, to the description of the last; raises JobStopped, LeaseLost, DiskFull, StorageFailed."""
         self._tell()
         with ThreadPoolExecutor(DECODED_AHEAD, "revisit-import") as threads:
             try:
@@ -336,9 +340,9 @@ class _Run:
         self._report.add(Note(file, problem, detail))
 
     def _tell(self) -> None:
-        """Report progress now and then; raises _Stop, LeaseLost."""
+        """Report progress now and then; raises JobStopped, LeaseLost."""
         if self._stopping():
-            raise _Stop
+            raise JobStopped
         if time.monotonic() - self._told >= TOLD_EVERY_S:
             self._importer.report(self._claim, self._report)
             self._told = time.monotonic()

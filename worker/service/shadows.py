@@ -9,7 +9,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from schemas.description import Description
-from schemas.errors import BadImage, EncoderAway, LeaseLost, NotFound, NothingStatic, RevisitError, SetupError
+from schemas.errors import (
+    BadImage,
+    EncoderAway,
+    JobStopped,
+    LeaseLost,
+    NotFound,
+    NothingStatic,
+    RevisitError,
+    SetupError,
+    unforeseen,
+)
 from schemas.image import Image
 from schemas.inbox import KeptQuery
 from schemas.recipe import DescriptionRecipe, MapRecipe
@@ -95,10 +105,6 @@ class KeptQueries(Protocol):
         ...
 
 
-class _Stop(Exception):
-    """The worker is stopping: the job is put back."""
-
-
 class ShadowService:
     """The use-cases around shadows, and the work of their jobs.
 
@@ -176,7 +182,7 @@ class ShadowService:
                     log.warning("answers cannot be compared for now: %s", error.detail)
                     self._rest(PAUSE_S)
                     _unless(stopping)
-        except (_Stop, EncoderAway):  # the latter only where the service stops while a shared encoder is away
+        except (JobStopped, EncoderAway):  # the latter only where the service stops while a shared encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or its map deleted", claim.job_id)
@@ -187,9 +193,7 @@ class ShadowService:
                 self._jobs.fail_map_job(claim, error.code, error.detail, datetime.now(UTC))
         except Exception as error:
             log.exception("comparing the answers of the map %s with those of its shadow failed", claim.map)
-            self._jobs.fail_map_job(
-                claim, "internal", f"{type(error).__name__}; the service's log has the details", datetime.now(UTC)
-            )
+            self._jobs.fail_map_job(claim, "internal", unforeseen(error), datetime.now(UTC))
 
     def _table(self, claim: MapClaim, stopping: Callable[[], bool]) -> ShadowTable:
         """The table of a shadow whose views are described."""
@@ -361,4 +365,4 @@ class ShadowService:
 
 def _unless(stopping: Callable[[], bool]) -> None:
     if stopping():
-        raise _Stop
+        raise JobStopped

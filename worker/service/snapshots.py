@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from schemas.errors import LeaseLost, NotFound, RevisitError, StorageFailed
+from schemas.errors import JobStopped, LeaseLost, NotFound, RevisitError, StorageFailed, unforeseen
 from schemas.records import JobProgress, JobRecord, MapClaim
 from schemas.snapshot import RestoredMap, SnapshotRecord
 
@@ -88,10 +88,6 @@ class SnapshotJobs(Protocol):
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a job back without counting the attempt."""
         ...
-
-
-class _Stop(Exception):
-    """The worker is stopping: the job is put back."""
 
 
 class SnapshotService:
@@ -180,7 +176,7 @@ class SnapshotService:
         def tell(done: int, total: int) -> None:
             nonlocal told
             if stopping():
-                raise _Stop
+                raise JobStopped
             if done == total or time.monotonic() - told >= TOLD_EVERY_S:
                 self._jobs.report(claim, JobProgress(done, total))
                 told = time.monotonic()
@@ -200,8 +196,8 @@ class SnapshotService:
                     log.warning("a snapshot of the map %s is begun anew: %s", claim.map, error.detail)
                     self._rest(pause_s)
                     if stopping():
-                        raise _Stop from None
-        except _Stop:
+                        raise JobStopped from None
+        except JobStopped:
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, its map deleted, or it was given to another worker", claim.job_id)
@@ -211,9 +207,7 @@ class SnapshotService:
             self._drop(claim)
         except Exception as error:
             log.exception("making a snapshot of the map %s failed", claim.map)
-            self._jobs.fail_map_job(
-                claim, "internal", f"{type(error).__name__}; the service's log has the details", datetime.now(UTC)
-            )
+            self._jobs.fail_map_job(claim, "internal", unforeseen(error), datetime.now(UTC))
 
     def _drop(self, claim: MapClaim) -> None:
         """Remove the file of a job that came to nothing; that of one that goes on, or is done, is another worker's."""
