@@ -37,7 +37,7 @@ def add(verbs: Verbs) -> None:
         help="read: look and query (default); write: also enrol, change and delete views; admin: everything",
     )
     create.add_argument("--map", action="append", metavar="MAP", help="only this map; may be given several times")
-    create.add_argument("--expires", metavar="SPAN", help="end by itself, after a span such as 90d, 12h or 30m")
+    create.add_argument("--expires", metavar="SPAN", help="end by itself, after a span such as 90d, 12h, 30m or 4w")
     create.add_argument("--requests-per-minute", type=_count, metavar="N", help="limit of its own; 0: none")
     create.add_argument("--images-per-minute", type=_count, metavar="N", help="limit of its own; 0: none")
     create.add_argument("--mb-per-minute", type=_count, metavar="N", help="limit of its own, 10^6 bytes; 0: none")

@@ -55,7 +55,7 @@ def add(verbs: Verbs) -> None:
 def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, help="folder of the database and the images (default: data)")
     encoders = ("compact", "compact-open", "color", "lseg")
-    parser.add_argument("--encoder", choices=encoders, help="network that describes images")
+    parser.add_argument("--encoder", choices=encoders, help="network that describes images (default: compact)")
     parser.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
     parser.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
 

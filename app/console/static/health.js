@@ -1,4 +1,4 @@
-// What a map lacks or suffers from: twins, places that age, duplicates, missing directions, coverage, single views.
+// What a map lacks or suffers from: twins, places that age, duplicates, missing directions, gaps, single views.
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
@@ -22,7 +22,7 @@ const KINDS = [
   ["never-matched", "Never matched", "Places that no query was matched with while others were.", false],
   ["duplicates", "Duplicates", "Views that add nothing to one another.", true],
   ["missing-directions", "Missing directions", "Places that are not seen towards every side.", false],
-  ["gap", "Coverage", "Stretches without views, between parts of the map that lie apart.", false],
+  ["gap", "Gaps", "Stretches without views, between parts of the map that lie apart.", false],
   ["single-view", "Single views", "Places that were enrolled once.", false],
 ];
 
