@@ -155,21 +155,21 @@ def _told(work: "Sequence[Work]", left_out: list[dict[str, str]], arguments: arg
 
 def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> "list[Work]":
     """Each image with its attributes: the CSV wins over EXIF, both over the options for all images."""
-    from worker.images.exif import taken
-
     positions = None if arguments.positions is None else images.Positions(arguments.positions)
     work, unlisted = [], 0
     if (arguments.x is None) != (arguments.y is None):
         wrong_use("--x and --y are one position: give both")
     metadata = json_object("--metadata", arguments.metadata, '{"floor": 2}')
     of_all = _of_all(arguments, metadata)
-    for path in images.found(arguments.paths, skipped):
+    paths = images.found(arguments.paths, skipped)
+    of_exif = _of_exif(paths) if arguments.exif else {}
+    for path in paths:
         known = dict(of_all)
         if arguments.place_from_folder:
             known["place"] = path.resolve().parent.name
         listed = None if positions is None else positions.of(path)
         if arguments.exif:
-            seen = taken(path)
+            seen = of_exif[path]
             if "x" in (listed or {}) or ("x" in known and "lat" not in seen):  # beside metres north may lie anywhere
                 seen.pop("heading", None)
             known = {name: value for name, value in known.items() if name not in ("x", "y") or "lat" not in seen} | seen
@@ -185,6 +185,12 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
         if unused := positions.unused():
             say(f"{len(unused)} rows of {positions.path} name no image given here, such as {unused[0]}")
     return work
+
+
+def _of_exif(paths: Sequence[Path]) -> dict[Path, images.Known]:
+    """What the EXIF of each image says."""
+    with images.exif_read() as taken:
+        return {path: taken(path) for path in paths}
 
 
 def _of_all(arguments: argparse.Namespace, metadata: dict[str, Any] | None) -> images.Known:

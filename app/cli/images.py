@@ -1,15 +1,20 @@
 """Finds images (files, folders, globs) and their attributes (CSV files of positions)."""
 
 import glob
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from app.cli.console import wrong_use
+from app.cli.console import say, wrong_use
 from schemas.values import in_order
 
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
+
+LARGEST, READING_S = 200, 20
+"""Of an image whose EXIF is read: 10^6 bytes, and 10^6 pixels, at most, and seconds."""
 
 Known = dict[str, Any]
 """Arguments of `Revisit.enroll` for one image."""
@@ -66,6 +71,34 @@ def _not_taken(path: Path) -> str | None:
     if kind in SUFFIXES:
         return None
     return f"{kind or 'a name without an ending'} is no ending of an image"
+
+
+@contextmanager
+def exif_read() -> Iterator[Callable[[Path], Known]]:
+    """Context manager: a function that gives what the EXIF of an image says, as `exif.taken`.
+
+    In a process of its own, as the service reads it: one damaged file among thousands may end it.
+    """
+    from schemas.errors import BadImage, BodyTooLarge
+    from worker.images.apart.pool import DecoderPool
+    from worker.images.codec import MEGA, Limits
+
+    logging.getLogger("worker.images").addHandler(logging.NullHandler())  # it is told below, with the file's name
+    decoder = DecoderPool(1, Limits(LARGEST * MEGA, LARGEST * MEGA), READING_S)
+
+    def taken(path: Path) -> Known:
+        try:
+            return decoder.taken(path.read_bytes())
+        except BadImage as error:
+            say(f"{path}: its EXIF is not read: {error.detail}")
+        except (OSError, BodyTooLarge):
+            pass  # which is said when it is sent
+        return {}
+
+    try:
+        yield taken
+    finally:
+        decoder.close()
 
 
 class Positions:

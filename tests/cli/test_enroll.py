@@ -322,3 +322,21 @@ def test_north_is_no_direction_of_a_frame_in_metres(
 def test_images_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
     assert taken(folder / "b.png") == {}
     assert taken(folder / "notes.txt") == {}
+
+
+def test_one_damaged_file_leaves_the_exif_of_the_others(tmp_path: Path, capsys: Out) -> None:
+    """libheif's reader ends the process for a name that is no UTF-8."""
+    sound = heics()["turned"]
+    at = sound.index(b"Exif")
+    for name, data in {"b.heic": sound[:at] + b"\x80" + sound[at + 1 :], "a.heic": sound}.items():
+        (tmp_path / name).write_bytes(data)
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "S", 2: (33.0, 0.0, 0.0), 3: "E", 4: (151.0, 0.0, 0.0)})
+    PilImage.new("RGB", (40, 40)).save(tmp_path / "c.jpg", exif=exif)
+
+    assert main(["enroll", str(tmp_path), "--exif", "--dry-run", "--json"]) == 0
+
+    seen = capsys.readouterr()
+    told = json.loads(seen.out)["would_enroll"]
+    assert "b.heic: its EXIF is not read" in seen.err
+    assert [(Path(one["file"]).name, one.get("lat")) for one in told][1:] == [("b.heic", None), ("c.jpg", -33.0)]
