@@ -71,15 +71,17 @@ def tiff_of(samples: Samples, order: str = "<", bits: int = 16, **said: int) -> 
     return head + pixels + struct.pack(order + "H", len(entries)) + b"".join(entries) + bytes(4) + tail
 
 
-def planes_of(samples: Samples, order: str = "<") -> bytes:
-    """A TIFF whose colours lie one behind the other, without compression."""
+def planes_of(samples: Samples, order: str = "<", zipped: bool = False) -> bytes:
+    """A TIFF whose colours lie one behind the other, plain or each of them packed by zlib."""
     height, width, channels = samples.shape
     planes = [samples[..., channel].astype(order + "u2").tobytes() for channel in range(channels)]
+    planes = [zlib.compress(plane) for plane in planes] if zipped else planes
+    begins = [8 + sum(map(len, planes[:number])) for number in range(channels)]
     at, fields = 8 + sum(map(len, planes)), 11
     tail = at + 6 + 12 * fields
     short, long = "HHIHxx", "HHII"
-    entries = [(short, 256, width), (short, 257, height), (long, 258, tail), (short, 259, 1), (short, 262, 2),
-               (long, 273, tail + 2 * channels), (short, 277, channels), (short, 278, height),
+    entries = [(short, 256, width), (short, 257, height), (long, 258, tail), (short, 259, 8 if zipped else 1),
+               (short, 262, 2), (long, 273, tail + 2 * channels), (short, 277, channels), (short, 278, height),
                (long, 279, tail + 6 * channels), (short, 284, 2), (short, 338, 2)]  # fmt: skip
     del entries[channels + 7 :]  # without alpha, what it means
     packed = struct.pack(order + "H", len(entries))
@@ -88,7 +90,7 @@ def planes_of(samples: Samples, order: str = "<") -> bytes:
         packed += struct.pack(order + form, tag, 4 if tag in (273, 279) else 3, many, value)
     packed = (packed + bytes(4)).ljust(tail - at, b"\0")
     packed += struct.pack(f"{order}{channels}H", *[16] * channels)
-    packed += struct.pack(f"{order}{channels}I", *(8 + len(planes[0]) * n for n in range(channels)))
+    packed += struct.pack(f"{order}{channels}I", *begins)
     packed += struct.pack(f"{order}{channels}I", *map(len, planes))
     return (b"II" if order == "<" else b"MM") + struct.pack(order + "HI", 42, at) + b"".join(planes) + packed
 
@@ -176,6 +178,15 @@ def test_of_a_grey_tiff_whose_zero_is_white_the_light_is_light() -> None:
 def test_an_image_of_a_turned_camera_is_upright_whatever_its_bits() -> None:
     samples = taken(12, colours=True)
     assert np.array_equal(shown(tiff_of(samples, turned=6)), np.rot90(samples >> 4, -1))
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_colours_that_lie_apart_are_as_light_where_they_are_packed(order: str, bits: int) -> None:
+    samples = taken(bits, colours=True)
+    assert np.array_equal(shown(planes_of(samples, order, zipped=True)), samples >> bits - 8)
+    opaque = np.concatenate([samples, np.full((48, 64, 1), 65535, np.uint16)], axis=-1)
+    assert np.abs(shown(planes_of(opaque, order, zipped=True)).astype(int) - (samples >> bits - 8)).max() <= 1
 
 
 @pytest.mark.parametrize("order", "<>")

@@ -1,6 +1,7 @@
 """Sixteen-bit samples as eight, by as many bits as a camera fills of them."""
 
 import io
+import struct
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from PIL import Image as PilImage
 from PIL.ImageFile import ImageFile
 
 from schemas.image import Bytes2D
-from worker.images import png
+from worker.images import png, tiff
 
 Samples = npt.NDArray[np.uint16]
 
@@ -26,6 +27,7 @@ PARTS = 64
 
 _BITS, _COLOURS, _MOST, _RANGE = 258, 262, 281, 341  # tags of a TIFF: BitsPerSample to SMaxSampleValue
 _WHITE_IS_ZERO = 0
+_PLANAR, _APART = 284, 2
 _SWAPPED = {"L": "B", "B": "L", "N": "B" if np.little_endian else "L"}  # orders of bytes
 
 
@@ -58,7 +60,8 @@ def colours(upper: Bytes2D, data: bytes) -> Bytes2D:
         flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         samples = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), flags), np.uint16)
         return _eight(samples.__getitem__, samples.shape, data)
-    if (lower := _lower(data)) is None:
+    lower = _lower(data)
+    if lower is None or lower.shape != upper.shape:
         return upper
 
     def joined(rows: slice) -> Samples:
@@ -93,6 +96,8 @@ def _lower(data: bytes) -> Bytes2D | None:
     """The lower eight bits of an RGB TIFF, which Pillow takes for the upper ones in the other order of bytes."""
     with PilImage.open(io.BytesIO(data), formats=["TIFF"]) as pil_image:
         mend_planes(pil_image)
+        if _tags(data).get(_PLANAR) == _APART and any(tile.codec_name == "libtiff" for tile in pil_image.tile):
+            return _lower_of_planes(data)
         tiles = []
         for tile in pil_image.tile:
             raw, others = _raw(tile)
@@ -101,6 +106,19 @@ def _lower(data: bytes) -> Bytes2D | None:
             tiles.append(tile._replace(args=(raw[:-1] + _SWAPPED[raw[-1]], *others)))
         pil_image.tile = tiles
         return np.asarray(pil_image)[..., :3]
+
+
+def _lower_of_planes(data: bytes) -> Bytes2D | None:
+    """The same where the colours lie apart and are compressed: Pillow takes the upper ones whatever it is told."""
+    lower = []
+    try:
+        for number in range(3):
+            plane = io.BytesIO(tiff.plane(data, number))
+            with PilImage.open(plane, formats=["TIFF"]) as pil_image:
+                lower.append((np.asarray(pil_image) & 0xFF).astype(np.uint8))
+    except (ValueError, LookupError, OSError, struct.error):
+        return None
+    return np.dstack(lower)
 
 
 def _raw(tile: Any) -> tuple[str, tuple[Any, ...]]:
