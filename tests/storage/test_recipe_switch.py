@@ -1,5 +1,7 @@
 """What a store promises while a map's views are described anew: no answer mixes two recipes."""
 
+from typing import Any
+
 import pytest
 import sqlalchemy as sa
 
@@ -298,3 +300,24 @@ def test_a_view_that_is_refused_as_poor_is_described_by_no_recipe(store: SqlStor
     assert enroll(store, "fog").view.id == fog.id  # sent again, it is judged again
     describe_all(store)
     assert list(follower.catch_up().vectors) == [gate.seq, fog.seq]
+
+
+def test_a_map_changes_over_without_writing_views_that_stay_as_they_are(store: SqlStore) -> None:
+    """PostgreSQL would write each of them anew, with all index entries, while nobody else may write."""
+    for number in range(12):
+        enroll(store, f"view {number}")
+    describe_all(store)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
+    *first, last = store.jobs.claim("worker", 12)
+    for claim in first:
+        finish(store, claim)
+    written: list[int] = []
+
+    def count(*of: Any) -> None:
+        if of[2].startswith("UPDATE views"):
+            written.append(of[1].rowcount)
+
+    sa.event.listen(store._database.engine, "after_cursor_execute", count)
+    finish(store, last)
+    assert (recipe_of(store), sum(written)) == ("paper", 0)
+    assert {view.state for view in store.views.list("campus", Filters())[0]} == {"ready"}

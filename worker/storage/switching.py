@@ -313,8 +313,12 @@ def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
     One that was refused as poor stays so until its image is sent again.
     """
     own = sa.update(VIEWS).where(VIEWS.c.map_id == map_id)
+    # Those alone that change: PostgreSQL writes each row anew, with an entry in every index, while others wait.
+    was_otherwise = (VIEWS.c.state != "ready") | VIEWS.c.failure_code.is_not(None)
     connection.execute(
-        own.where(is_described(recipe), ~_REFUSED).values(state="ready", failure_code=None, failure_detail=None)
+        own.where(is_described(recipe), ~_REFUSED, was_otherwise).values(
+            state="ready", failure_code=None, failure_detail=None
+        )
     )
     last = (
         sa.select(sa.func.max(JOBS.c.number))
