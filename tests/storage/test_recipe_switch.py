@@ -22,6 +22,7 @@ from tests.storage.material import (
     recipe,
     vector,
 )  # fmt: skip
+from worker.storage import rows, sealing
 from worker.storage.store import SqlStore
 from worker.storage.tables import JOBS
 
@@ -321,3 +322,27 @@ def test_a_map_changes_over_without_writing_views_that_stay_as_they_are(store: S
     finish(store, last)
     assert (recipe_of(store), sum(written)) == ("paper", 0)
     assert {view.state for view in store.views.list("campus", Filters())[0]} == {"ready"}
+
+
+def test_the_jobs_of_a_large_map_are_written_and_sealed_in_portions(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A transaction that writes a row for each view does not hold them all in memory."""
+    for number in range(10):
+        enroll(store, f"view {number}")
+    describe_all(store)
+    together: list[int] = []
+
+    def count(*of: Any) -> None:
+        together.append(len(of[3]) if of[5] else 1)
+
+    monkeypatch.setattr(rows, "BATCH", 4)
+    monkeypatch.setattr(sealing, "PORTION", 5)
+    sa.event.listen(store._database.engine, "before_cursor_execute", count)
+    job = store.jobs.switch_recipe("campus", PAPER, NOW)
+    store.jobs.cancel(job.id, NOW)
+    assert max(together) == 5
+    with store._database.reading() as connection:
+        assert connection.scalar(sa.select(sa.func.count()).where(JOBS.c.checksum.is_(None))) == 0
+    described = store.jobs.list("campus", kind="describe")[0]
+    assert [one.state for one in described] == ["cancelled"] * 10 + ["done"] * 10

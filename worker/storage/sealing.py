@@ -16,6 +16,9 @@ SEALED = (MAPS, COMPARISONS, JOBS, TOMBSTONES, CALLS, CLOCK, KEYS, KEPT_QUERIES,
 
 _KEY = "written_tables"
 
+PORTION = 500
+"""Rows sealed together, so that a transaction that wrote a row for each view of a large map needs no memory for all."""
+
 
 def follow(engine: sa.Engine) -> None:
     """Note, for each connection, which tables its statements write."""
@@ -36,18 +39,23 @@ def seal(connection: sa.Connection) -> None:
     written = set(connection.info.get(_KEY, ()))
     for table in SEALED:
         if table.name in written:
-            unsealed, sealing = _statements(table)
-            rows = [dict(row._mapping) for row in connection.execute(unsealed)]
-            if rows:
-                keys = [column.name for column in table.primary_key]
-                sums = [
-                    {"seal": checksums.of_row(table, row), **{f"of_{key}": row[key] for key in keys}} for row in rows
-                ]
-                connection.execute(sealing, sums)
+            while _seal_some(connection, table) == PORTION:
+                pass
+
+
+def _seal_some(connection: sa.Connection, table: sa.Table) -> int:
+    """Set checksums of at most `PORTION` rows; returns of how many."""
+    unsealed, sealing = _statements(table)
+    rows = [dict(row._mapping) for row in connection.execute(unsealed, {"most": PORTION})]
+    if rows:
+        keys = [column.name for column in table.primary_key]
+        sums = [{"seal": checksums.of_row(table, row), **{f"of_{key}": row[key] for key in keys}} for row in rows]
+        connection.execute(sealing, sums)
+    return len(rows)
 
 
 @cache
 def _statements(table: sa.Table) -> tuple[sa.Select[Any], sa.Update]:
-    unsealed = sa.select(table).where(table.c.checksum.is_(None))
+    unsealed = sa.select(table).where(table.c.checksum.is_(None)).limit(sa.bindparam("most", type_=sa.Integer))
     sealing = sa.update(table).values(checksum=sa.bindparam("seal", type_=sa.BigInteger))
     return unsealed, sealing.where(*(column == sa.bindparam(f"of_{column.name}") for column in table.primary_key))

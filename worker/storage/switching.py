@@ -68,24 +68,22 @@ def queue(
 
     `refuse_poor`: views whose descriptions show that their images are poor are to fail.
     """
-    rows = [
-        {
-            "id": str(uuid7()),
-            "kind": "describe",
-            "map_id": map_id,
-            "seq": seq,
-            "recipe": recipe,
-            "background": background,
-            "state": "waiting",
-            "attempts": 0,
-            "created_at": now,
-            "refuse_poor": refuse_poor or None,
-        }
-        for seq in seqs
-    ]
-    if rows:
+    every = {
+        "kind": "describe",
+        "map_id": map_id,
+        "recipe": recipe,
+        "background": background,
+        "state": "waiting",
+        "attempts": 0,
+        "created_at": now,
+        "refuse_poor": refuse_poor or None,
+    }
+    ids: list[str] = []
+    for portion in batches(seqs):
+        rows = [{**every, "id": str(uuid7()), "seq": seq} for seq in portion]
         connection.execute(inserting(JOBS), rows)
-    return [str(row["id"]) for row in rows]
+        ids += [str(row["id"]) for row in rows]
+    return ids
 
 
 def unfinished_job(connection: sa.Connection, seq: int, recipe: str) -> str | None:
