@@ -16,6 +16,8 @@ from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg
 from worker.runtime import build
+from worker.service.explanations import Explained, headline
+from worker.service.sheets import cells_of
 
 pytestmark = pytest.mark.one_database("tests/search holds that both kinds of index draw the same sample")
 
@@ -52,6 +54,16 @@ def test_what_the_camera_carries_along_says_nothing_of_a_place(
         unknown = [queried(client, name, carried) for name in NEVER_ENROLLED]
         assert [one["status"] for one in unknown] == ["no_match"] * len(unknown)
         assert all(one["query"]["fixed_share"] > 0.2 for one in known)
+
+        for name in PLACES[:3]:  # what is explained is what ranked: without the bonnet of the views as well
+            taken = jpeg(carried(scene(name).seen_from(dx=0.5, ahead=0.4, turn=4).pixels))
+            told = runtime.services.query.query(taken, "drive")
+            explained = Explained(told.image, told.results.query, told.results, headline(told.decision))
+            for rank, one in enumerate(told.results.views[:3]):
+                kept = runtime.store.descriptions.cells([one.seq], told.results.recipe.description.id)
+                shown = cells_of(explained, one, kept[one.seq])
+                assert shown is not None
+                assert shown.of_query().ravel() == pytest.approx(told.results.ranking.cells[rank], abs=1e-5)
 
         bare = queried(client, PLACES[0], np.asarray)
         assert bare["query"]["fixed_share"] < 0.05  # the camera of somebody else, which carries nothing

@@ -8,6 +8,7 @@ from schemas.description import Description
 from schemas.recipe import MapRecipe
 from schemas.records import ViewRecord
 from worker.method.calibration import Calibration
+from worker.method.camera_fixed import CameraFixed
 from worker.method.evidence import RankedCandidate, Ranking
 
 
@@ -68,6 +69,8 @@ class RankedResults:
         Of the maps' confidences.
     timing_ms : mapping of stage to milliseconds
         ``search``, ``rerank``, ``verify``.
+    fixed : tuple of CameraFixed
+        What is fixed to the maps' cameras: views were compared without their cells that show it.
     """
 
     views: tuple[ScoredView, ...]
@@ -79,6 +82,7 @@ class RankedResults:
     recipe: MapRecipe
     calibration: Calibration
     timing_ms: Mapping[str, float]
+    fixed: tuple[CameraFixed, ...] = ()
 
     @property
     def searched(self) -> int:

@@ -250,6 +250,7 @@ class Searcher:
             recipe=records[0].recipe,
             calibration=self._calibration(records[0]),
             timing_ms=watch.timing_ms(),
+            fixed=tuple(one for one in fixed if one is not None),
         )
 
     def further(self, results: RankedResults, count: int) -> RankedResults:

@@ -65,6 +65,8 @@ def cells_of(explained: Explained, scored: ScoredView, stored: Int8s | None) -> 
     if scored.dense is None or stored is None or stored.shape != query.cells.shape or not stored.size:
         return None
     extent = extent_of(scored.view.image.width, scored.view.image.height)
+    for one in explained.results.fixed:
+        stored = one.cleared(stored)
     return cell_evidence.agreeing(
         query.cells,
         stored,
