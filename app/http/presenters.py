@@ -383,14 +383,14 @@ def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
 def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estimate | None:
     """The estimated position of the query; None without a match or when the best match has no position.
 
-    Of several maps that of the first place alone counts: each has a frame of its own.
+    Positions of other maps that were searched with that of the best match lie in frames of their own.
     """
     if decision.status == "no_match":
         return None
-    found = results.views[:top]
-    first = found[0]
-    positions = [f.view.attributes.position if f.view.map == first.view.map else Position() for f in found]
-    fix = locate(positions, decision.confidences[:top], results.ranking.places.positions(first.seq))
+    best = results.views[0]
+    chosen = [i for i, one in enumerate(results.views[:top]) if one.view.map == best.view.map]
+    found, weights = [results.views[i] for i in chosen], [decision.confidences[i] for i in chosen]
+    fix = locate([f.view.attributes.position for f in found], weights, results.ranking.places.positions(best.seq))
     if fix is None:
         return None
     known = position(fix.position)

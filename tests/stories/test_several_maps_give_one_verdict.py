@@ -74,6 +74,17 @@ def test_the_answer_tells_of_each_map(client: httpx.Client) -> None:
     assert query(client, taken, map="floor1")["maps"] is None
 
 
+def test_a_position_is_of_one_map_alone(client: httpx.Client) -> None:
+    told = 0
+    for _, _, image in HOUSE.queries(1):
+        answer = query(client, jpeg(image), maps=BOTH)
+        if answer["estimate"] is not None:
+            maps = {client.get(f"/views/{one}").json()["map"] for one in answer["estimate"]["views"]}
+            assert maps == {answer["map"]}
+            told += 1
+    assert told >= 3
+
+
 def test_maps_of_different_recipes_are_given_together(client: httpx.Client) -> None:
     other = {"preset": "paper"}
     assert client.put("/maps/attic", json=other).status_code == 201

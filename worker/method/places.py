@@ -47,10 +47,9 @@ class Places:
         """These views and further ones."""
         return Places({**self._known, **known}, self._within)
 
-    def positions(self, seq: int) -> list[Position]:
-        """Positions of all the views of the map that a view, by sequence number, is of: others lie in other frames."""
-        own = self._known[seq].map
-        return [view.position for view in self._known.values() if view.map == own]
+    def positions(self, near: int) -> list[Position]:
+        """Positions of all views of the map that has this one, by its sequence number."""
+        return [view.position for view in self._known.values() if view.map == self._known[near].map]
 
     def same(self, one: int, other: int) -> bool:
         """Whether two views, by sequence number, are of one place."""
