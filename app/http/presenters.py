@@ -383,14 +383,14 @@ def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
 def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estimate | None:
     """The estimated position of the query; None without a match or when the best match has no position.
 
-    Positions of other maps that were searched with that of the best match lie in frames of their own.
+    Between two storeys nobody is, and positions of the other maps that were searched lie in frames of their own.
     """
     if decision.status == "no_match":
         return None
-    best = results.views[0]
-    chosen = [i for i, one in enumerate(results.views[:top]) if one.view.map == best.view.map]
+    places, best = results.ranking.places, results.views[0].seq
+    chosen = [i for i, one in enumerate(results.views[:top]) if places.on_one_storey(best, one.seq)]
     found, weights = [results.views[i] for i in chosen], [decision.confidences[i] for i in chosen]
-    fix = locate([f.view.attributes.position for f in found], weights, results.ranking.places.positions(best.seq))
+    fix = locate([f.view.attributes.position for f in found], weights, places.positions(best))
     if fix is None:
         return None
     known = position(fix.position)

@@ -58,6 +58,31 @@ def test_floors_above_each_other_are_apart_where_heights_are_given() -> None:
     assert places(at(0, z=0), at(0)).same(0, 1)
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "same", "apart", "told_apart"),
+    [
+        (at(0, name="lift 1", z=0), at(0, name="lift 2", z=3), False, True, True),
+        (at(0, name="lift 1", z=0), at(4, name="stairs 2", z=3), False, True, True),
+        (at(0, name="lift 1", z=0), at(0, name="lift 2", z=1.9), True, False, False),  # a step, or a hand held higher
+        (at(0, name="lift", z=0), at(0, name="lift", z=3), True, False, False),
+        (at(0, z=0), at(0, z=3), True, False, False),  # without names, heights drift as positions do
+        (at(0, name="path 1", z=0), at(19, name="path 2", z=3), False, False, False),  # a slope
+    ],
+)
+def test_two_names_above_each_other_are_two_storeys(
+    one: KnownView, other: KnownView, same: bool, apart: bool, told_apart: bool
+) -> None:
+    house = places(one, other)
+    assert (house.same(0, 1), house.apart(1, 0), house.told_apart(0, 1)) == (same, apart, told_apart)
+
+
+def test_an_estimate_asks_for_positions_of_one_storey_of_one_map() -> None:
+    below, above, unnamed = at(0, name="lift 1", z=0), at(1, name="lift 2", z=3), at(2, z=3)
+    other_map = KnownView("lift 3", Position(x=3, y=0), map=1)
+    house = places(below, above, unnamed, other_map)
+    assert house.positions(0) == [below.position, unnamed.position]
+
+
 def test_degrees_are_measured_in_metres_and_never_compared_with_metres() -> None:
     greenwich = KnownView(position=Position(lat=51.4779, lon=0.0))
     across = KnownView(position=Position(lat=51.4779, lon=0.00005))  # 3.5 m

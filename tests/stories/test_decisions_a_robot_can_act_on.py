@@ -159,6 +159,22 @@ def test_nobody_is_sent_to_the_wrong_floor(client: CheckedClient, kind: Building
     assert not [p for p, a in answers if a["status"] == "matched" and a["matches"][0]["view"]["place"] != p]
 
 
+def test_storeys_lower_than_a_place_is_wide_are_told_apart(client: CheckedClient) -> None:
+    floors = building(7, floors=2, spots=4)
+    for floor, spot, image in floors.enrolments():
+        at = {"x": 6.0 * spot, "y": 0.0, "z": 3.5 * floor}
+        enroll(client, "storeys", f"floor {floor}, spot {spot}", jpeg(image), **at)
+    settled(client, "storeys")
+    for floor, _, image in [*floors.queries(1), *floors.unknown(1)]:
+        answer = query(client, "storeys", jpeg(image), drive=f"floor-{floor}", top=8)
+        assert answer["status"] != "matched" or answer["places"][0]["place"].startswith(f"floor {floor},")
+        floor_of = {match["view"]["id"]: match["view"]["place"].split(",")[0] for match in answer["matches"]}
+        for place in answer["places"]:
+            assert len({floor_of[view["id"]] for view in place["views"]}) == 1
+        if answer["estimate"] is not None:  # on a storey, not between two
+            assert answer["estimate"]["position"]["z"] in (pytest.approx(3.5), pytest.approx(7.0))
+
+
 def test_a_covered_lens_is_told_from_an_unknown_place(client: CheckedClient, town: dict[str, Any]) -> None:
     dark = np.random.default_rng(0).integers(0, 12, (240, 320, 3), np.uint8)
     answer = query(client, "town", jpeg(dark))

@@ -88,9 +88,15 @@ def distance(one: Position, other: Position) -> float:
     if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
         return inf
     east, north, _ = metres(other, one)
+    return hypot(east, north, climb(one, other))
+
+
+def climb(one: Position, other: Position) -> float:
+    """Metres that one position lies above or below another; 0 where the heights cannot be compared."""
+    if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
+        return 0.0
     below, above = (one.z, other.z) if one.lat is None else (one.alt, other.alt)
-    up = 0.0 if below is None or above is None else above - below
-    return hypot(east, north, up)
+    return 0.0 if below is None or above is None else abs(above - below)
 
 
 def is_known(position: Position) -> bool:

@@ -5,12 +5,19 @@ from math import inf
 
 from schemas.comparisons import KnownView
 from schemas.records import Position
-from worker.method.estimate import distance
+from worker.method.estimate import climb, distance
 
 NEIGHBOURHOOD = 4.0
 """Views further apart than a place is wide, but not more than this many times, are neighbours: along a path they show
 much of the same things, so they are evidence neither for the place nor against it."""
 
+
+STOREY_M = 2.0
+"""Views of two names are on two storeys when one lies this much higher than the other, metres: rooms are no lower."""
+
+STEEP = 6.0
+"""Of views on two storeys one is above the other where the way between them is at most this many times its height: few
+paths and streets are as steep."""
 
 ENOUGH_VIEWS, ENOUGH_PLACES = 20, 10
 """Views of other places, and other places. The best of fewer scores less than wrong answers get in a map of usual size:
@@ -34,8 +41,9 @@ class Places:
     Notes
     -----
     Two views are of one place when they have the same name, or lie at most `same_place_m` apart, or the map's own
-    comparison says so and the user does not tell them apart: equal doors on two floors look like one spot. Views of
-    different maps that are searched together are never of one place. This is no
+    comparison says so and the user does not tell them apart: equal doors on two floors look like one spot. Views on
+    two storeys are never of one place, although these may be lower than a place is wide, and where one is above the
+    other they are no neighbours. Nor are views of different maps that are searched together. This is no
     equivalence: along a path each view shares a place with the next. A place is therefore always that of one view, the
     best.
     """
@@ -48,8 +56,19 @@ class Places:
         return Places({**self._known, **known}, self._within)
 
     def positions(self, near: int) -> list[Position]:
-        """Positions of all views of the map that has this one, by its sequence number."""
-        return [view.position for view in self._known.values() if view.map == self._known[near].map]
+        """Positions of all views on the storey of this one, by its sequence number."""
+        return [view.position for seq, view in self._known.items() if self.on_one_storey(near, seq)]
+
+    def on_one_storey(self, one: int, other: int) -> bool:
+        """Whether two views are of one map, and their names and heights do not say that they are on two storeys."""
+        a, b = self._known[one], self._known[other]
+        named = a.name is not None and b.name is not None and a.name != b.name
+        return a.map == b.map and not (named and climb(a.position, b.position) >= STOREY_M)
+
+    def _is_above(self, one: int, other: int, gap: float) -> bool:
+        """Whether one of two views of one map, `gap` metres apart, is on a storey above the other."""
+        steep = gap <= STEEP * climb(self._known[one].position, self._known[other].position)
+        return steep and not self.on_one_storey(one, other)
 
     def same(self, one: int, other: int) -> bool:
         """Whether two views, by sequence number, are of one place."""
@@ -60,8 +79,10 @@ class Places:
         """`same`, of two views of one map, `gap` metres apart."""
         a, b = self._known[one], self._known[other]
         named = a.name is not None and b.name is not None
-        if one == other or (named and a.name == b.name) or gap <= self._within:
+        if one == other or (named and a.name == b.name):
             return True
+        if gap <= self._within:
+            return self.on_one_storey(one, other)
         told_apart = named or NEIGHBOURHOOD * self._within < gap < inf
         return not told_apart and (other in a.same_spot or one in b.same_spot)
 
@@ -77,14 +98,16 @@ class Places:
         if a.map != b.map:  # positions of two maps lie in frames of their own
             return True
         gap = distance(a.position, b.position)
-        return gap > NEIGHBOURHOOD * self._within and not self._is_same(one, other, gap)
+        far = gap > NEIGHBOURHOOD * self._within or self._is_above(one, other, gap)
+        return far and not self._is_same(one, other, gap)
 
     def told_apart(self, one: int, other: int) -> bool:
-        """Whether the user says of two views that they are of different places: by their positions, else by names."""
+        """Whether the user says of two views that they are of different places: by their positions, else by names; by
+        both where one is above the other."""
         a, b = self._known[one], self._known[other]
         gap = distance(a.position, b.position)
         named = a.name is not None and b.name is not None
-        far = gap > NEIGHBOURHOOD * self._within
+        far = gap > NEIGHBOURHOOD * self._within or self._is_above(one, other, gap)
         return not self.same(one, other) and (far if gap < inf else named)
 
     def group(self, ranked: Sequence[int]) -> list[list[int]]:
