@@ -84,7 +84,7 @@ class MapLevels:
     paired : int
         Number of compared views that have another view of their place.
     current : int
-        Number of compared views that need not be compared again.
+        Number of compared views that need not be compared again, those without another place included.
     """
 
     compared: int = 0

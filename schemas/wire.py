@@ -174,7 +174,8 @@ class MapDecision(Answer):
         "mostly what they get in this one; calibration: that, by a curve adjusted to labelled queries of this map."
     )
     views_compared: int = Field(
-        description="Views compared with the map as it is: once it rests all that are `ready`, at most 2,000."
+        description="Views compared with the map as it is: once it rests all that are `ready`, at most 2,000; none of "
+        "an only one."
     )
     expected: ExpectedDecisions
     updated_at: Moment | None = Field(description="Of the calibration, or of the latest comparison of its views.")

@@ -151,6 +151,14 @@ def test_the_only_view_of_a_map_has_nothing_to_be_compared_with(store: SqlStore)
     assert store.comparisons.uncompared(100, 100) is None
 
 
+def test_views_of_one_place_alone_are_compared_too(store: SqlStore) -> None:
+    seqs = described(store, "gate", "gate by night")
+    store.comparisons.keep("campus", RECIPE, [Comparison(seq, None, None, (), 2, 0, own=0.8) for seq in seqs], NOW)
+    levels = store.comparisons.levels("campus")
+    assert (due(store), levels.current) == (set(), 2)
+    assert levels.compared == 0  # they say nothing of wrong answers
+
+
 def test_a_large_map_is_sampled_always_by_the_same_views(store: SqlStore) -> None:
     seqs = described(store, *(f"view {i}" for i in range(12)))
     sample = due(store, sample=5)

@@ -274,7 +274,7 @@ def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str, described:
     made_at = COMPARISONS.c.made_at
     means = (sa.func.avg(column) for column in (breadth, level, gap, COMPARISONS.c.others))
     of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == recipe
-    current = sa.func.count(sa.case((_current(described, SMALL), level)))
+    current = sa.func.count(sa.case((_current(described, SMALL), 1)))
     found = sa.select(sa.func.count(level), current, sa.func.max(made_at), *means).where(*of)
     count, up_to_date, latest, broad, *mean = connection.execute(found).one()
     whole = COMPARISONS.c.level.is_not(None), COMPARISONS.c.own.between(0, 1)
