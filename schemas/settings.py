@@ -241,6 +241,14 @@ def without_password(address: str) -> str:
     return re.sub(r"^([a-z][a-z0-9+.-]*://)?.*@", r"\1***@", address, flags=re.IGNORECASE | re.DOTALL)
 
 
+def refuse_unknown(environment: Mapping[str, str]) -> None:
+    """Raise SetupError for a ``REVISIT_*`` variable that does not exist, with the nearest name that does."""
+    names = {f"REVISIT_{name}".upper() for name in Settings.model_fields}
+    for name in sorted({name for name in environment if name.startswith("REVISIT_")} - names):
+        near = difflib.get_close_matches(name, sorted(names), n=1, cutoff=0.0)
+        raise SetupError(f"unknown setting {name}; did you mean {near[0]}? docs/settings.md lists all of them")
+
+
 def read_settings(environment: Mapping[str, str] | None = None, **overrides: object) -> Settings:
     """Settings from ``REVISIT_*`` variables; `overrides` (from flags) win.
 
@@ -250,11 +258,8 @@ def read_settings(environment: Mapping[str, str] | None = None, **overrides: obj
         A variable is unknown (the nearest name is offered) or has a value that cannot be used.
     """
     env = os.environ if environment is None else environment
-    names = {f"REVISIT_{name}".upper() for name in Settings.model_fields}
+    refuse_unknown(env)
     ours = {k: v for k, v in env.items() if k.startswith("REVISIT_")}
-    for name in sorted(set(ours) - names):
-        near = difflib.get_close_matches(name, sorted(names), n=1, cutoff=0.0)
-        raise SetupError(f"unknown setting {name}; did you mean {near[0]}? docs/settings.md lists all of them")
     values: dict[str, object] = {k.removeprefix("REVISIT_").lower(): v for k, v in ours.items()}
     values.update({k: v for k, v in overrides.items() if v is not None})
     try:

@@ -4,6 +4,7 @@ import argparse
 import difflib
 import errno
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -94,6 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         whole.error(f"unrecognized arguments: {' '.join(rest)}")
     arguments.rest = rest
     try:
+        if hasattr(arguments, "url") and getattr(arguments, "service", True):  # `version` may call none
+            _check_settings()
         return int(arguments.run(arguments))
     except Failure as failure:
         say(f"revisit: {failure}")
@@ -110,6 +113,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         say(f"revisit: {text}")
         return FAILED
+
+
+def _check_settings() -> None:
+    """Refuse a mistyped REVISIT_URL or REVISIT_KEY: without it the command would call another service."""
+    from schemas.settings import refuse_unknown
+
+    refuse_unknown(os.environ)
 
 
 def _meant(whole: argparse.ArgumentParser, given: Sequence[str]) -> str | None:

@@ -5,6 +5,11 @@ import pytest
 from tests.cli.fake_service import FakeService, fake_service
 
 
+@pytest.fixture(autouse=True)
+def _commands_know_no_settings_of_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("REVISIT_TEST_POSTGRES", raising=False)
+
+
 @pytest.fixture
 def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeService]:
     """A service at REVISIT_URL."""

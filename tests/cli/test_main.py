@@ -166,6 +166,19 @@ def test_a_command_that_is_mistyped_is_told_with_the_nearest(
     assert f"there is no command {typed!r}; did you mean {meant!r}?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("argv", [["maps"], ["views", "--place", "hall", "--delete"], ["healthcheck"]])
+def test_a_mistyped_address_calls_no_other_service(
+    argv: list[str], service: FakeService, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("REVISIT_URL", service.url)
+    monkeypatch.setenv("REVISIT_ULR", "http://127.0.0.1:1")
+    assert main(argv) == 1
+    assert capsys.readouterr().err == (
+        "revisit: unknown setting REVISIT_ULR; did you mean REVISIT_URL? docs/settings.md lists all of them\n"
+    )
+    assert service.requests == []
+
+
 def test_a_full_disk_behind_the_output_is_told_without_a_traceback(service: FakeService) -> None:
     service.replies["GET /maps"] = 200, {"maps": []}
     with Path("/dev/full").open("w") as full:
