@@ -9,8 +9,8 @@ export const chosenMap = () => sessionStorage.getItem(CHOSEN) ?? "default";
 export const chooseMap = (name) => sessionStorage.setItem(CHOSEN, name);
 
 /**
- * A select of the maps; `refresh` fetches their names and counts, `facts` is of the chosen one, `chosen` its name once
- * they are there.
+ * A select of the maps; `refresh` fetches their names and counts, and may prefer one; `facts` is of the chosen one,
+ * `chosen` its name once they are there: they are asked for again where they did not come.
  */
 export function mapSelect(changed = () => {}) {
   const select = h("select", {
@@ -22,17 +22,21 @@ export function mapSelect(changed = () => {}) {
   let maps = [];
   const facts = () => maps.find((one) => one.name === select.value) ?? null;
   let refreshed = null;
-  const refresh = () => (refreshed = fetched());
+  function refresh(preferred) {
+    const mine = (refreshed = fetched(preferred));
+    mine.catch(() => refreshed === mine && (refreshed = null));
+    return mine;
+  }
   async function chosen() {
     await (refreshed ?? refresh());
     return select.value;
   }
-  async function fetched() {
+  async function fetched(preferred) {
     maps = (await call("GET", "/maps")).maps;
     const names = maps.map((one) => one.name);
     const ready = (name) => maps.find((one) => one.name === name)?.views.ready ?? 0;
     const largest = names.reduce((best, name) => (ready(name) > ready(best) ? name : best), names[0] ?? "default");
-    const first = names.includes(chosenMap()) ? chosenMap() : largest;
+    const first = [preferred, chosenMap()].find((name) => names.includes(name)) ?? largest;
     if (!names.includes("default")) names.push("default");
     select.replaceChildren(
       ...names.map((name) => h("option", { value: name, selected: name === first }, `${name} (${ready(name)})`)),

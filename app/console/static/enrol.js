@@ -78,7 +78,7 @@ export function enrolScreen() {
   );
   takesDrops(drop, add);
 
-  const wanted = () => other.value.trim() || maps.select.value;
+  const wanted = async () => other.value.trim() || (await maps.chosen());
   const archives = recording(wanted, () => maps.refresh().catch(() => {}));
   const onPlan = placing(wanted, nextToPlace);
 
@@ -265,10 +265,10 @@ export function enrolScreen() {
 
   async function run(event) {
     event.preventDefault();
-    const map = wanted();
     const queue = entries.filter((one) => one.state !== "done");
     const whole = queue.length;
     let finished = 0;
+    let map = null;
     running = true;
     bar.hidden = false;
     redraw();
@@ -279,6 +279,7 @@ export function enrolScreen() {
     };
     tell();
     try {
+      map = await wanted();
       const enrolling = async () => {
         for (let one = queue.shift(); one; one = queue.shift()) {
           await enrol(one, map);
@@ -293,11 +294,15 @@ export function enrolScreen() {
       if (error.status !== 401) told.replaceChildren(problemBox(error));
     } finally {
       running = false;
-      sessionStorage.setItem("revisit-map", map);
-      other.value = "";
       redraw();
-      await maps.refresh().catch(() => {});
+      if (map !== null) await enrolledIn(map);
     }
+  }
+
+  /** Choose the map that photos went to, if it is there: one that no photo came to is still to be made. */
+  async function enrolledIn(map) {
+    const all = await maps.refresh(map).catch(() => []);
+    if (all.some((one) => one.name === map) && other.value.trim() === map) other.value = "";
   }
 
   return {

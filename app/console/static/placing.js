@@ -4,8 +4,8 @@ import { h, problemBox } from "./dom.js";
 import { plan, surroundings } from "./plan.js";
 
 /**
- * Details with the plan of a map. `map()` names it, `next()` gives the photo that is placed now, {name, put(position)},
- * or null.
+ * Details with the plan of a map. `map()` promises its name, `next()` gives the photo that is placed now,
+ * {name, put(position)}, or null.
  * Gives {element, told, draw}; `told` is to be called when another photo is next, `draw` when another map is chosen.
  */
 export function placing(map, next) {
@@ -19,7 +19,7 @@ export function placing(map, next) {
     const mine = ++drawn;
     if (!element.open) return;
     try {
-      const points = await surroundings(map()).catch((error) => {
+      const points = await surroundings(await map()).catch((error) => {
         if (error.status === 404) return []; // a map that is made by its first photo
         throw error;
       });

@@ -131,9 +131,9 @@ export function queryScreen() {
   }
 
   /** What is sent besides the image; the console adds nothing that a curl call could not. */
-  function parameters() {
+  async function parameters() {
     const given = {
-      map: maps.select.value,
+      map: await maps.chosen(),
       precision: precision.value,
       explain: explain.box.checked ? "true" : "",
       frame: inputs.near.value && frame.value,
@@ -154,13 +154,14 @@ export function queryScreen() {
   async function ask() {
     if (!file) return;
     const mine = ++asked;
-    const query = parameters();
     const sent = new FormData();
     sent.append("image", file, file.name || "photo");
     again.disabled = true;
     result.replaceChildren(h("p", {}, "Looking …"));
     below.replaceChildren();
     try {
+      const query = await parameters();
+      if (mine !== asked) return;
       const answer = await call("POST", "/query", { query, form: sent });
       if (mine !== asked) return;
       const { short, long } = answerPanel(answer, url);

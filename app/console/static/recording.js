@@ -14,7 +14,10 @@ const KINDS = {
   conflict: "In the map already, with other attributes",
 };
 
-/** A panel that imports an archive into `map()`; `changed` is called when it has ended. Gives {element, take(file)}. */
+/**
+ * A panel that imports an archive into the map whose name `map()` promises; `changed` is called when it has ended.
+ * Gives {element, take(file)}.
+ */
 export function recording(map, changed) {
   let file = null;
   let job = null;
@@ -35,12 +38,12 @@ export function recording(map, changed) {
 
   async function run(event) {
     event.preventDefault();
-    const name = map();
     busy = true;
     start.disabled = true;
     bar.hidden = false;
     result.replaceChildren();
     try {
+      const name = await map();
       const step = every.value.trim() && `?every=${encodeURIComponent(every.value.trim())}`;
       const path = `/maps/${encodeURIComponent(name)}/imports${step}`;
       const sent = (share) => {

@@ -1,0 +1,87 @@
+"""What the console does while the service is slow, or away for a while: nothing goes to another map than was meant."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.browser.conftest import Open
+from tests.browser.test_console import views
+from tests.sample_images import photo as drawn_photo
+from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Route
+
+MAPS = re.compile(r"/maps$")
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> list[Path]:
+    paths = [tmp_path / f"{number}.jpg" for number in range(2)]
+    for number, path in enumerate(paths):
+        path.write_bytes(drawn_photo(570 + number))
+    return paths
+
+
+def test_photos_that_were_refused_go_to_the_map_that_was_typed_for_them(
+    opened: Open, service: RunningService, photos: list[Path]
+) -> None:
+    """And not to the largest one, when they are tried again."""
+    tab = opened("enrol", refusals=True)
+    refused = {"title": "No", "status": 400, "detail": "not now", "errors": [], "request_id": "r", "type": "urn:x:no"}
+    tab.page.route("**/enroll", lambda route: route.fulfill(status=400, json=refused))
+    tab.page.get_by_label("or a new map").fill("attic")
+    tab.page.get_by_label("Choose photos").set_input_files(photos)
+    tab.page.get_by_role("button", name="Enrol 2 photos").click()
+    tab.page.locator("main").get_by_text("2 of 2 photos done, 2 refused.").wait_for()
+    tab.page.unroute("**/enroll")
+    before = len(views(service, "town"))
+    tab.page.get_by_role("button", name="Try again: enrol 2 photos").click()
+    tab.page.locator("main").get_by_text("2 of 2 photos done.").wait_for()
+    assert (len(views(service, "town")), len(views(service, "attic"))) == (before, 2)
+    tab.page.wait_for_function("document.querySelector('.fields select').value === 'attic'")
+    assert tab.page.get_by_label("or a new map").input_value() == ""
+
+
+def test_a_photo_goes_to_the_map_that_was_meant_though_the_maps_are_not_there_yet(
+    opened: Open, query_photo: Path
+) -> None:
+    tab = opened("service")
+    tab.page.evaluate("sessionStorage.setItem('revisit-map', 'town')")
+    held: list[Route] = []
+    tab.page.route(MAPS, lambda route: held.append(route))
+    tab.page.goto(f"{tab.url}/#ask")
+    tab.page.get_by_label("Choose a photo").set_input_files(query_photo)
+    tab.page.get_by_text("Looking …").wait_for()
+    with tab.page.expect_request("**/query**") as query:
+        held[0].continue_()
+    assert "map=town" in query.value.url
+    tab.page.wait_for_selector(".verdict.matched")
+
+
+def test_maps_that_did_not_come_are_fetched_again(
+    opened: Open, service: RunningService, query_photo: Path, photos: list[Path]
+) -> None:
+    """The service was away when the screen was opened; it is there again when the photo is sent."""
+    tab = opened("service")
+    tab.page.route(MAPS, lambda route: route.abort())
+    tab.page.goto(f"{tab.url}/#ask")
+    tab.page.get_by_role("alert").filter(has_text="No answer").wait_for()
+    tab.page.get_by_label("Choose a photo").set_input_files(query_photo)
+    tab.page.locator("section").get_by_role("alert").filter(has_text="No answer").wait_for()
+    tab.page.unroute(MAPS)
+    tab.page.get_by_role("button", name="Ask", exact=True).click()
+    tab.page.wait_for_selector(".verdict.matched")
+
+    tab.page.route(MAPS, lambda route: route.abort())
+    tab.page.goto(f"{tab.url}/#enrol")
+    tab.page.get_by_role("alert").filter(has_text="No answer").wait_for()
+    tab.page.unroute(MAPS)
+    tab.page.get_by_label("Choose photos").set_input_files(photos)
+    before = len(views(service, "town"))
+    tab.page.get_by_role("button", name="Enrol 2 photos").click()
+    tab.page.locator("main").get_by_text("2 of 2 photos done.").wait_for()
+    assert len(views(service, "town")) == before + 2
+    tab.complaints.clear()  # of the maps that did not come
