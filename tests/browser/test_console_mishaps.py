@@ -237,7 +237,7 @@ def test_the_keyboard_stays_where_the_work_is(opened: Open, service: RunningServ
     tab.page.get_by_role("dialog").get_by_label("Place").fill("front porch")
     tab.page.get_by_role("dialog").get_by_label("Place").press("Enter")
     tab.page.get_by_label("View 1: front porch").wait_for()
-    tab.page.wait_for_function("document.activeElement.matches('.grid')")
+    tab.page.wait_for_function("document.activeElement.ariaLabel === 'View 1: front porch'")
 
 
 def test_a_map_that_was_deleted_elsewhere_leads_back_to_the_others(opened: Open) -> None:

@@ -100,7 +100,7 @@ function where(answer) {
   const picture = plan(points, { circle: estimate && { position: estimate.position, radius: estimate.radius_m } });
   const known = new Set(answer.matches.map((match) => match.view.id));
   surroundings(answer.map).then(
-    (others) => picture.add(others.filter((point) => !known.has(point.view.id))),
+    (others) => picture.add(others.filter((point) => !known.has(point.id))),
     () => {}, // the plan of the matches alone is a plan too
   );
   return h(

@@ -97,17 +97,27 @@ export function upload(path, file, type, sent) {
   });
 }
 
-/** Pages of a list: `next()` gives {value}, after the last {done: true}. One that did not come is asked for again. */
+/**
+ * Pages of a list: `next()` gives {value}, after the last {done: true}. One that did not come is asked for again.
+ * `resume()` has the last one asked for again, and those that came after it since.
+ */
 export function pages(path, query, options = {}) {
   let cursor = null;
+  let last = null; // the cursor of the page that came last
   let done = false;
   return {
     async next() {
       if (done) return { done };
       const value = await call("GET", path, { ...options, query: { ...query, cursor } });
+      last = cursor;
       cursor = value.next;
       done = !cursor;
       return { value };
+    },
+    resume() {
+      if (!done) return;
+      cursor = last;
+      done = false;
     },
   };
 }

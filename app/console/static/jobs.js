@@ -35,7 +35,8 @@ export async function followed(job, told, wanted = () => true) {
 
 /**
  * The jobs of a map, or of all. `finished` is called when one that ran has ended, and of views that are described when
- * all have. While none runs they are looked at every `idle` milliseconds, or no more. `stop` ends the looking.
+ * all have. While none runs they are looked at every `idle` milliseconds, or no more until `look`. `stop` ends the
+ * looking.
  */
 export function jobList(map, finished = () => {}, idle = null) {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Jobs" });
@@ -106,6 +107,7 @@ export function jobList(map, finished = () => {}, idle = null) {
   look();
   return {
     element,
+    look,
     stop: () => {
       stopped = true;
       clearTimeout(timer);

@@ -1,6 +1,7 @@
 // One map: where its views lie, its places, thumbnails, words, jobs, and what its verdicts rest on.
 
-import { call, pages } from "./api.js";
+import { call } from "./api.js";
+import { browser } from "./browser.js";
 import { chooseMap } from "./choice.js";
 import {
   announce,
@@ -18,137 +19,93 @@ import {
   size,
 } from "./dom.js";
 import { jobList } from "./jobs.js";
-import { mapHead } from "./parts.js";
-import { plan, pointOf } from "./plan.js";
+import { mapHead, part } from "./parts.js";
 import { photosSection } from "./privacy.js";
 import { showReceipt } from "./receipt.js";
-import { openView } from "./view.js";
-import { Views, grid } from "./views.js";
-
-const PLACES_A_PAGE = 100;
-const MOST_ON_PLAN = 20_000;
 
 export function mapScreen(name) {
   const path = `/maps/${encodeURIComponent(name)}`;
   const element = h("div", {}, h("p", {}, "Loading …"));
+  const wrong = h("div");
   let left = false;
   let jobs = null;
+  let sections = null; // once the map is there
+  let map = null;
 
   async function load() {
-    const map = await call("GET", path);
+    map = await call("GET", path);
     if (left) return;
     chooseMap(name);
-    jobs?.stop();
+    if (!sections) draw();
+    for (const one of sections) one.show(map);
+    wrong.replaceChildren();
+  }
+
+  function draw() {
     jobs = jobList(name, reload);
-    const { ready = 0, pending = 0, failed = 0 } = map.views;
-    const total = ready + pending + failed;
-    element.replaceChildren(
-      ...mapHead(name),
-      h(
-        "section",
-        { class: "panel" },
-        facts([
-          [
-            "Views",
-            [count(ready, "view") + " ready", pending && `${pending} pending`, failed && `${failed} failed`]
-              .filter(Boolean)
-              .join(", "),
-          ],
+    sections = [about(), browser(name, reload), decisions(), words(), photos()];
+    const [first, views, ...others] = sections.map((one) => one.element);
+    const background = h("section", { class: "panel" }, jobs.element);
+    element.replaceChildren(...mapHead(name), wrong, first, views, background, ...others, removal());
+  }
+
+  const reload = () => load().catch((error) => wrong.replaceChildren(problemBox(error)));
+
+  function about() {
+    const shown = part(
+      ({ views, places, bytes, created_at, revision }) => [views, places, bytes, created_at, revision],
+      (map) => {
+        const { ready = 0, pending = 0, failed = 0 } = map.views;
+        const states = [
+          count(ready, "view") + " ready",
+          pending && `${pending} pending`,
+          failed && `${failed} failed`,
+        ];
+        return facts([
+          ["Views", states.filter(Boolean).join(", ")],
           ["Places", count(map.places, "place")],
           ["Images", size(map.bytes)],
           ["Made", moment(map.created_at)],
           ["Revision", map.revision],
-        ]),
-        h(
-          "div",
-          { class: "row" },
-          h("a", { class: "button", href: "#ask" }, "Ask this map"),
-          h("a", { class: "button", href: "#enrol" }, "Enrol more"),
-        ),
-      ),
-      browser(map, total),
-      h("section", { class: "panel" }, jobs.element),
-      decisions(map),
-      words(map),
-      photosSection(map, path, async (done) => {
-        await load();
-        announce(done);
-      }),
-      removal(),
+        ]);
+      },
     );
-  }
-
-  const reload = () => load().catch((error) => element.prepend(problemBox(error)));
-
-  function browser(map, total) {
-    const shown = h("div");
-    let filled = false; // the plan, by the first reading of all views
-    let chosen = null; // the place whose views are shown
-    const heading = h("h2", {}, "All views");
-    const newest = h(
-      "select",
-      { onchange: () => filter(chosen) },
-      h("option", { value: "enrolled_at" }, "oldest first"),
-      h("option", { value: "-enrolled_at" }, "newest first"),
-    );
-    const picture = plan([], { picked: (point) => open(point.view) });
-    const planned = h("section", { class: "panel", hidden: !map.extent }, h("h2", {}, "Plan"), picture.element);
-    if (total > MOST_ON_PLAN)
-      planned.append(h("p", { class: "quiet" }, `It shows the first ${MOST_ON_PLAN.toLocaleString("en-GB")} views.`));
-    const open = (view) =>
-      openView(view, map, async () => {
-        announce("done");
-        await reload();
-        element.querySelector(".grid")?.focus();
-      });
-    const names = placeNames(name, filter);
-
-    function filter(place) {
-      chosen = place;
-      heading.textContent = place === null ? "All views" : place;
-      const all = place === null;
-      const fills = all && map.extent && !filled;
-      filled ||= fills;
-      const views = new Views({ map: name, sort: newest.value, place }, (more) => {
-        if (fills) picture.add(more.filter((view) => view.position).map(pointOf));
-      });
-      const thumbnails = grid(views, map, all ? total : 0, open);
-      shown.replaceChildren(thumbnails.element);
-      thumbnails.read(fills ? MOST_ON_PLAN : 1);
-      thumbnails.draw();
-    }
-    if (total) filter(null);
-    return h(
+    const links = h(
       "div",
-      {},
-      planned,
-      h(
-        "div",
-        { class: "columns" },
-        h(
-          "section",
-          { class: "panel" },
-          h("div", { class: "row between" }, heading, field("Order", newest)),
-          total
-            ? shown
-            : h("p", {}, "Nothing is enrolled here yet. ", h("a", { href: "#enrol" }, "Enrol some photos"), "."),
-        ),
-        map.places > 0 && h("section", { class: "panel" }, h("h2", {}, "Places"), names),
-      ),
+      { class: "row" },
+      h("a", { class: "button", href: "#ask" }, "Ask this map"),
+      h("a", { class: "button", href: "#enrol" }, "Enrol more"),
     );
+    return { element: h("section", { class: "panel" }, shown.element, links), show: shown.show };
   }
 
-  function decisions(map) {
-    const { decision } = map;
-    const precise = decision.expected.precision === null ? "an unknown share" : percent(decision.expected.precision);
+  function decisions() {
     const told = h("div");
-    const precision = h("input", {
-      type: "number",
-      min: 0.5,
-      max: 0.999,
-      step: 0.001,
-      value: String(map.ranking.precision ?? 0.97),
-    });
+    const precision = h("input", { type: "number", min: 0.5, max: 0.999, step: 0.001 });
+    let asked = null; // the precision of the map that the input was filled with
+    const shown = part(
+      (map) => map.decision,
+      ({ decision }) => {
+        const { expected } = decision;
+        const precise = expected.precision === null ? "an unknown share" : percent(expected.precision);
+        return facts([
+          [
+            "Measured",
+            {
+              cohort: "mostly in other maps, while few views are compared",
+              "own-views": "mostly in this map",
+              calibration: "with labelled queries of this map",
+            }[decision.source],
+          ],
+          ["Views compared", decision.views_compared.toLocaleString("en-GB")],
+          [
+            "Expected",
+            `${precise} of sure answers are right; ${percent(expected.matched_share)} of right answers are sure`,
+          ],
+          ["Updated", moment(decision.updated_at)],
+        ]);
+      },
+    );
     async function changed(event) {
       event.preventDefault();
       try {
@@ -156,32 +113,18 @@ export function mapScreen(name) {
           json: { ranking: { precision: Number(precision.value) } },
           type: "application/merge-patch+json",
         });
+        told.replaceChildren();
         announce("changed");
         await load();
       } catch (error) {
         told.replaceChildren(problemBox(error));
       }
     }
-    return h(
+    const element = h(
       "section",
       { class: "panel" },
       h("h2", {}, "What its verdicts rest on"),
-      facts([
-        [
-          "Measured",
-          {
-            cohort: "mostly in other maps, while few views are compared",
-            "own-views": "mostly in this map",
-            calibration: "with labelled queries of this map",
-          }[decision.source],
-        ],
-        ["Views compared", decision.views_compared.toLocaleString("en-GB")],
-        [
-          "Expected",
-          `${precise} of sure answers are right; ${percent(decision.expected.matched_share)} of right answers are sure`,
-        ],
-        ["Updated", moment(decision.updated_at)],
-      ]),
+      shown.element,
       told,
       h(
         "form",
@@ -190,9 +133,18 @@ export function mapScreen(name) {
         h("button", { type: "submit" }, "Change"),
       ),
     );
+    function show(map) {
+      shown.show(map);
+      const wanted = String(map.ranking.precision ?? 0.97);
+      if (wanted !== asked) precision.value = asked = wanted;
+    }
+    return { element, show };
   }
 
-  function words(map) {
+  const words = () =>
+    part(({ labels, vocabulary, recipe, ranking }) => [labels, vocabulary, recipe, ranking], vocabulary);
+
+  function vocabulary(map) {
     const told = h("div");
     const train = h(
       "button",
@@ -201,7 +153,7 @@ export function mapScreen(name) {
         onclick: async () => {
           try {
             await call("POST", `${path}/vocabulary`);
-            await load();
+            jobs.look();
           } catch (error) {
             told.replaceChildren(problemBox(error));
           }
@@ -268,6 +220,20 @@ export function mapScreen(name) {
     });
   }
 
+  const photos = () =>
+    part(
+      (map) => [map.blur, map.keep_images, Object.values(map.views).some((number) => number > 0)],
+      () =>
+        photosSection(
+          () => map,
+          path,
+          async (done) => {
+            await load();
+            announce(done);
+          },
+        ),
+    );
+
   function removal() {
     const told = h("div");
     return h(
@@ -315,41 +281,4 @@ export function mapScreen(name) {
       jobs?.stop();
     },
   };
-}
-
-/** The names of a map's places, a page at a time; `chosen(null)` shows all views again. */
-function placeNames(map, chosen) {
-  const list = h("ul", { class: "names" });
-  const next = h("button", { type: "button", onclick: () => more() }, "More places");
-  const reading = pages("/places", { map, limit: PLACES_A_PAGE });
-  function choose(button, name) {
-    const on = button.getAttribute("aria-pressed") !== "true";
-    for (const other of list.querySelectorAll("button")) other.setAttribute("aria-pressed", "false");
-    button.setAttribute("aria-pressed", on);
-    chosen(on ? name : null);
-  }
-  async function more() {
-    next.disabled = true;
-    try {
-      const { value } = await reading.next();
-      next.hidden = !value?.next;
-      list.append(
-        ...(value?.places ?? []).map((one) => {
-          const button = h(
-            "button",
-            { type: "button", "aria-pressed": "false", onclick: () => choose(button, one.place) },
-            h("span", {}, one.place),
-            h("span", { class: "quiet" }, count(one.views, "view")),
-          );
-          return h("li", {}, button);
-        }),
-      );
-    } catch (error) {
-      list.after(problemBox(error));
-    } finally {
-      next.disabled = false;
-    }
-  }
-  more();
-  return h("div", {}, list, next);
 }

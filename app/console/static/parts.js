@@ -22,3 +22,19 @@ export function mapHead(name, current = "") {
     h("nav", { class: "parts-of-map", "aria-label": "Parts of this map" }, links),
   ];
 }
+
+/**
+ * A part of a screen that is made anew, `make(map)`, only where what it shows, `of(map)`, has changed: what is unfolded
+ * or typed there stays. Gives {element, show(map)}.
+ */
+export function part(of, make) {
+  const element = h("div");
+  let shown = null;
+  function show(map) {
+    const now = JSON.stringify(of(map));
+    if (now === shown) return;
+    shown = now;
+    element.replaceChildren(make(map));
+  }
+  return { element, show };
+}

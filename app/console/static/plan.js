@@ -6,6 +6,8 @@ import { count, h } from "./dom.js";
 const METRES_PER_DEGREE = 111_320;
 const MARGIN = 28;
 const NEAR_PX = 14;
+const MANY = 2000; // points that take a while to draw
+const REDRAWN_MS = 400;
 
 /** Degrees of longitude within 180 of 0: positions on both sides of the date line are near each other. */
 const turned = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
@@ -26,7 +28,7 @@ function flat(position, middle) {
  * A plan of points {position, kind, name}; kinds: view, match, first.
  * circle: {position, radius in m or null}. picked(point) is called for the point that was chosen, placed(position) for
  * any spot.
- * Gives {element, add(points)}.
+ * Gives {element, add(points), show(points)}; `show` leaves out those that were there before.
  */
 export function plan(points, { circle = null, picked = null, placed = null } = {}) {
   const canvas = h("canvas", { class: picked || placed ? "plan picks" : "plan", role: "img" });
@@ -62,7 +64,10 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
       "aria-label",
       `Plan with ${count(spots.length, "position")}${centre ? " and where your photo was taken" : ""}`,
     );
-    if (!corners.length) return;
+    if (!corners.length) {
+      drawn = [];
+      return;
+    }
     const [west, east] = range(corners, 0);
     const [south, north] = range(corners, 1);
     const scale = Math.min(
@@ -80,7 +85,7 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
       return { lat: up / METRES_PER_DEGREE, lon: turned(middle.lon + along / metresEast(middle.lat)) };
     };
     drawn = spots.map(([spot, point]) => [x(spot[0]), y(spot[1]), point]);
-    const radius = drawn.length > 2000 ? 1.5 : drawn.length > 300 ? 2.5 : 4;
+    const radius = drawn.length > MANY ? 1.5 : drawn.length > 300 ? 2.5 : 4;
     for (const [kind, name, bigger] of [
       ["view", "--quiet", 0],
       ["match", "--accent", 2],
@@ -169,11 +174,26 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
   new ResizeObserver(draw).observe(canvas);
   const redraw = () => (canvas.isConnected ? draw() : window.removeEventListener("theme", redraw));
   window.addEventListener("theme", redraw);
+  let soon = null;
+  /** Draw once for what comes within a while: many points come page by page. */
+  function later() {
+    soon ??= setTimeout(
+      () => {
+        soon = null;
+        draw();
+      },
+      all.length > MANY ? REDRAWN_MS : 0,
+    );
+  }
   return {
     element: h("div", {}, canvas, said),
     add: (more) => {
-      all = [...all, ...more];
-      draw();
+      for (const point of more) all.push(point);
+      later();
+    },
+    show: (points) => {
+      all = [...points];
+      later();
     },
   };
 }
@@ -185,8 +205,8 @@ export async function surroundings(map) {
 }
 
 /** A view as a point of a plan. */
-export function pointOf(view) {
-  return { position: view.position, kind: "view", name: view.place ?? view.id.slice(-6), view };
+export function pointOf({ id, place, position }) {
+  return { position, kind: "view", name: place ?? id.slice(-6), id };
 }
 
 function range(corners, axis) {

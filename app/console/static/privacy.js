@@ -8,11 +8,11 @@ const GROUPS = [
   ["vehicles", "Vehicles"],
 ];
 
-/** The section of a map; `changed` is called after something was. */
-export function photosSection(map, path, changed) {
+/** The section of a map, of which `latest()` gives the facts; `changed` is called after something was. */
+export function photosSection(latest, path, changed) {
   const told = h("div");
+  const map = latest();
   const total = Object.values(map.views).reduce((sum, views) => sum + views, 0);
-  const described = map.views.ready ?? 0;
 
   async function patch(json, done) {
     try {
@@ -29,7 +29,7 @@ export function photosSection(map, path, changed) {
     h("h2", {}, "What becomes of photos"),
     told,
     blurring(map, total, patch),
-    keeping(map, total, described, patch),
+    keeping(map, total, () => latest().views.ready ?? 0, patch),
   );
 }
 
@@ -76,8 +76,9 @@ function blurring(map, total, patch) {
   );
 }
 
-function keeping(map, total, described, patch) {
+function keeping(map, total, ready, patch) {
   const remove = async () => {
+    const described = ready();
     const text =
       `${described ? `The images of ${count(described, "view")} are deleted now, ` : "Each image is deleted "}` +
       `${described ? "and each later one " : ""}once its view is described. They cannot be shown again, described by ` +

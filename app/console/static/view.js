@@ -6,7 +6,7 @@ import { bars, confirmed, facts, field, h, moment, place as inWords, problemBox,
 import { NOT_KEPT, drawing } from "./images.js";
 import { showReceipt } from "./receipt.js";
 
-/** Open a dialog with a view; `changed` is called after it was edited or deleted. */
+/** Open a dialog with a view; `changed` is called after it was edited, with what it is now, or deleted, with null. */
 export function openView(view, map, changed) {
   const told = h("div");
   const picture = h("div");
@@ -88,9 +88,9 @@ export function openView(view, map, changed) {
     ),
   );
 
-  async function done() {
+  async function done(after) {
     dialog.close();
-    await changed();
+    await changed(after);
     // What the dialog was opened from has been drawn anew.
     if (document.activeElement === document.body) document.getElementById("main").focus({ preventScroll: true });
   }
@@ -105,7 +105,7 @@ export function openView(view, map, changed) {
       return;
     try {
       await showReceipt("The view is deleted", await call("DELETE", view.links.self));
-      done();
+      done(null);
     } catch (error) {
       told.replaceChildren(problemBox(error));
     }
@@ -159,7 +159,7 @@ function editor(view, map, told, done) {
       if (!isObject(kept))
         throw Object.assign(new Error(), { title: "Metadata", detail: 'not a JSON object, such as {"floor": 2}' });
       const empty = Object.values(numbers).every((value) => value === null);
-      await call("PATCH", view.links.self, {
+      const after = await call("PATCH", view.links.self, {
         json: {
           place: place.value.trim() || null,
           position: empty ? null : numbers,
@@ -167,7 +167,7 @@ function editor(view, map, told, done) {
         },
         type: "application/merge-patch+json",
       });
-      done();
+      done(after);
     } catch (error) {
       told.replaceChildren(
         problemBox(

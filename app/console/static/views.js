@@ -10,10 +10,9 @@ const BEYOND = 2; // rows above and below what is in sight
 
 /** A list of views that grows by pages as far as somebody looks. */
 export class Views {
-  constructor(query, grown = () => {}) {
+  constructor(query) {
     this.items = [];
     this.complete = false;
-    this._grown = grown;
     this._pages = pages("/views", { limit: PAGE, ...query });
     this._reading = null;
   }
@@ -33,7 +32,6 @@ export class Views {
       else {
         this.items.push(...value.views);
         this.complete = !value.next;
-        this._grown(value.views);
       }
     } finally {
       this._reading = null;
@@ -42,10 +40,10 @@ export class Views {
 }
 
 /**
- * A grid of thumbnails that scrolls through any number of views.
- * map: whose views they are; total: how many there are by the map's counts, so that the bar is as long from the start.
+ * A grid of thumbnails that scrolls through any number of views; `chosen(view)` is called for one.
+ * Gives {element, show}; see there.
  */
-export function grid(views, map, total, chosen) {
+export function grid(chosen) {
   const track = h("div", { class: "track", role: "list" });
   const element = h(
     "div",
@@ -54,32 +52,63 @@ export function grid(views, map, total, chosen) {
   );
   const cells = new Map(); // index -> element
   const told = h("div");
+  let views = null;
+  let map = null;
+  let total = 0;
+  let latest = null; // the list that is to be shown
   let broken = false; // a page did not come: somebody has to ask for it again
 
   const length = () => (views.complete ? views.items.length : Math.max(total, views.items.length));
 
+  /**
+   * Show a list of views; resolves once some are there.
+   * of: the map whose they are; number: how many there are by the map's counts, so that the bar is as long from the
+   * start; stay: keep what is in sight, and the button that has the focus, where the same views are listed anew.
+   */
+  async function show(list, of, number, stay = false) {
+    latest = list;
+    mended();
+    const least = stay && views ? views.items.length : 1;
+    if (!stay) {
+      put(list, of, number);
+      element.scrollTop = 0;
+    }
+    await read(list, least, () => show(list, of, number, stay));
+    if (stay && latest === list && !broken) put(list, of, number);
+  }
+
+  function put(list, of, number) {
+    const before = views?.items ?? [];
+    const focused = [...cells].find(([, cell]) => cell.contains(document.activeElement))?.[0];
+    for (const [index, cell] of cells) {
+      if (of.keep_images === map.keep_images && JSON.stringify(before[index]) === JSON.stringify(list.items[index]))
+        continue;
+      cell.remove();
+      cells.delete(index);
+    }
+    [views, map, total] = [list, of, number];
+    draw();
+    if (focused !== undefined && !element.contains(document.activeElement))
+      (cells.get(focused)?.querySelector("button") ?? element).focus({ preventScroll: true });
+  }
+
   function draw() {
     const width = element.clientWidth;
-    if (!width) return;
+    if (!width || !views) return;
     const columns = Math.max(2, Math.floor(width / SMALLEST_PX));
     const side = width / columns;
     const height = side * 0.75;
     track.style.height = `${Math.ceil(length() / columns) * height}px`;
     const top = Math.max(0, Math.floor(element.scrollTop / height) - BEYOND) * columns;
-    const bottom = Math.min(
-      length(),
-      (Math.ceil((element.scrollTop + element.clientHeight) / height) + BEYOND) * columns,
-    );
+    const bottom = (Math.ceil((element.scrollTop + element.clientHeight) / height) + BEYOND) * columns;
     for (const [index, cell] of cells) {
       if ((index < top || index >= bottom) && !cell.contains(document.activeElement)) {
         cell.remove();
         cells.delete(index);
       }
     }
-    for (let index = top; index < bottom; index += 1) {
-      const view = views.items[index];
-      if (!view) break;
-      const cell = cells.get(index) ?? made(view, index);
+    for (let index = top; index < Math.min(bottom, views.items.length); index += 1) {
+      const cell = cells.get(index) ?? made(views.items[index], index);
       Object.assign(cell.style, {
         width: `${side}px`,
         height: `${height}px`,
@@ -88,23 +117,30 @@ export function grid(views, map, total, chosen) {
       });
       cell.setAttribute("aria-setsize", length());
     }
-    if (bottom > views.items.length && !views.complete && !broken) read(bottom);
+    if (bottom > views.items.length && !views.complete && !broken) read(views, bottom, () => draw());
   }
 
-  /** Read on until `number` views are there, and show them. */
-  function read(number) {
-    views.upTo(number).then(draw, (error) => {
+  /** Read a list on until `number` views are there, and draw them; what does not come is asked for by hand. */
+  async function read(list, number, again) {
+    try {
+      await list.upTo(number);
+      if (views === list) draw();
+    } catch (error) {
+      if (latest !== list) return;
       broken = true;
-      const again = h("button", { type: "button", onclick: () => tryAgain(number) }, "Try again");
-      told.replaceChildren(problemBox(error), again);
-    });
+      const button = h("button", { type: "button", onclick: tryAgain }, "Try again");
+      told.replaceChildren(problemBox(error), button);
+    }
+    function tryAgain() {
+      mended();
+      element.focus();
+      again();
+    }
   }
 
-  function tryAgain(number) {
+  function mended() {
     broken = false;
     told.replaceChildren();
-    element.focus();
-    read(number);
   }
 
   function made(view, index) {
@@ -135,5 +171,5 @@ export function grid(views, map, total, chosen) {
     });
   });
   new ResizeObserver(draw).observe(element);
-  return { element: h("div", {}, element, told), draw, read };
+  return { element: h("div", {}, element, told), show };
 }
