@@ -102,3 +102,35 @@ def test_a_name_that_no_map_can_have_is_refused_with_what_it_may_be(opened: Open
     name.fill("my house")
     assert name.evaluate("input => input.validity.patternMismatch")
     assert "no spaces" in (name.get_attribute("title") or "")
+
+
+def test_nothing_can_be_typed_about_a_photo_once_it_is_sent(opened: Open, photos: list[Path]) -> None:
+    tab = opened("enrol")
+    held: list[Route] = []
+    tab.page.route("**/enroll", lambda route: held.append(route))
+    tab.page.get_by_label("or a new map").fill("shed")
+    tab.page.get_by_label("Place", exact=True).fill("the shed")
+    tab.page.get_by_label("Choose photos").set_input_files(photos[0])
+    tab.page.get_by_role("button", name="Enrol 1 photo").click()
+    tab.page.get_by_text("sending …").wait_for()
+    sent = tab.page.get_by_label("Place of 0.jpg")
+    assert sent.evaluate("input => input.readOnly")
+    while not held:
+        tab.page.wait_for_timeout(20)
+    held[0].continue_()
+    tab.page.locator("main").get_by_text("1 of 1 photo done.").wait_for()
+    assert sent.evaluate("input => [input.readOnly, input.value]") == [True, "the shed"]
+
+
+def test_refused_photos_come_first_and_the_field_that_is_typed_in_keeps_the_focus(
+    opened: Open, photos: list[Path], tmp_path: Path
+) -> None:
+    (tmp_path / "note.jpg").write_text("no image")
+    tab = opened("enrol", refusals=True)
+    tab.page.get_by_label("or a new map").fill("barn")
+    tab.page.get_by_label("Choose photos").set_input_files([*photos, tmp_path / "note.jpg"])
+    tab.page.get_by_label("Place of 0.jpg").focus()
+    tab.page.get_by_role("button", name="Enrol").evaluate("button => button.form.requestSubmit()")
+    tab.page.locator("main").get_by_text("4 of 4 photos done, 1 refused.").wait_for()
+    assert tab.page.locator(".files .name").first.inner_text() == "note.jpg"
+    assert tab.page.evaluate("document.activeElement.ariaLabel") == "Place of 0.jpg"

@@ -19,6 +19,9 @@ function refusal({ title = "Error", detail, message, errors = [] }) {
   return `${title}: ${detail ?? message}${parameters}`;
 }
 
+/** Whether what is typed about a photo still goes with it. */
+const isOpen = ({ state }) => state === "waiting" || state === "refused";
+
 const isThere = () =>
   call("GET", "/version", { quiet: true }).then(
     () => true,
@@ -84,7 +87,7 @@ export function enrolScreen() {
 
   /** The photo that a click on the plan places: the one in use, else the first without a position. */
   function nextToPlace() {
-    const open = entries.filter((one) => one.state !== "done");
+    const open = entries.filter(isOpen);
     const one = open.includes(current) ? current : open.find((other) => !other.position.value);
     return one ? { name: one.path, put: (position) => put(one, position) } : null;
   }
@@ -134,7 +137,7 @@ export function enrolScreen() {
     entries.push(...added);
     const meant = read ? entries : added; // an earlier table does not undo what was typed since
     if (positions && (read || added.length)) {
-      const fitted = meant.filter((one) => one.state !== "done" && fill(one, attributesOf(positions, one.path)));
+      const fitted = meant.filter((one) => isOpen(one) && fill(one, attributesOf(positions, one.path)));
       told.append(
         h(
           "p",
@@ -198,7 +201,9 @@ export function enrolScreen() {
 
   function redraw() {
     onPlan.told();
+    const focused = document.activeElement;
     list.replaceChildren(...entries.map((one) => one.element));
+    if (list.contains(focused)) focused.focus({ preventScroll: true });
     list.hidden = entries.length === 0;
     const left = entries.filter((one) => one.state !== "done").length;
     start.disabled = running || reading > 0 || left === 0;
@@ -221,8 +226,10 @@ export function enrolScreen() {
     return form;
   }
 
+  /** Say how far a photo is. What is typed once it is sent would come too late, so nothing can be. */
   function mark(one, state, text) {
     one.state = state;
+    one.place.readOnly = one.position.readOnly = state === "sending" || state === "done";
     one.status.className = state;
     one.status.replaceChildren(text);
   }
@@ -237,13 +244,13 @@ export function enrolScreen() {
     }
     for (let tried = 1; ; tried += 1) {
       try {
-        mark(one, "waiting", "sending …");
+        mark(one, "sending", "sending …");
         const { view, created, warnings } = await call("POST", "/enroll", { form });
-        const came = created ? "enrolled" : "was there already";
+        const came = !created ? "was there already" : view.state === "pending" ? "kept, described later" : "enrolled";
         const { lat, lon } = view.position ?? {};
         const where = exif.box.checked && lat != null ? ` at ${lat.toFixed(6)}, ${lon.toFixed(6)}` : "";
         mark(one, "done", [came + where, ...warnings.map((warning) => warning.detail)].join("; "));
-        one.place.value ||= view.place ?? "";
+        one.place.value = view.place ?? "";
         return;
       } catch (error) {
         if (error.status === 0 && tried > 1 && (await isThere())) {
@@ -252,7 +259,7 @@ export function enrolScreen() {
         }
         if (Object.hasOwn(PASSING, error.status) && tried < TRIES) {
           const seconds = error.retryAfter ?? 2 ** tried;
-          mark(one, "waiting", `the service ${PASSING[error.status]}; again in ${seconds} s`);
+          mark(one, "sending", `the service ${PASSING[error.status]}; again in ${seconds} s`);
           await new Promise((resolve) => setTimeout(resolve, seconds * 1000));
         } else {
           mark(one, "refused", refusal(error));
@@ -294,6 +301,7 @@ export function enrolScreen() {
       if (error.status !== 401) told.replaceChildren(problemBox(error));
     } finally {
       running = false;
+      entries.sort((one, other) => (other.state === "refused") - (one.state === "refused")); // where they are seen
       redraw();
       if (map !== null) await enrolledIn(map);
     }
