@@ -60,7 +60,7 @@ export function picker(text, attributes, chosen) {
   return h("span", { class: "button pick" }, h("span", { "aria-hidden": "true" }, text), input);
 }
 
-/** Make an element take files that are dropped on it. */
+/** Make an element take files that are dropped on it, and those in folders. */
 export function takesDrops(element, dropped) {
   element.addEventListener("dragover", (event) => {
     event.preventDefault();
@@ -70,8 +70,39 @@ export function takesDrops(element, dropped) {
   element.addEventListener("drop", (event) => {
     event.preventDefault();
     element.classList.remove("over");
-    if (event.dataTransfer.files.length) dropped([...event.dataTransfer.files]);
+    filesOf(event.dataTransfer).then((files) => files.length && dropped(files));
   });
+}
+
+/** Have files that are dropped beside what takes them go nowhere: the browser would open them in place of the page. */
+export function keepsDrops() {
+  const hold = (event) => {
+    if (event.defaultPrevented || !event.dataTransfer?.types.includes("Files")) return;
+    event.preventDefault();
+    event.dataTransfer.dropEffect = "none";
+  };
+  for (const kind of ["dragover", "drop"]) window.addEventListener(kind, hold);
+}
+
+/** The files of a drop. A folder is opened; with one, each file tells its path as a chosen folder's do. */
+async function filesOf({ items, files }) {
+  const plain = [...files]; // what was dropped is gone once this waits
+  const entries = [...items].map((item) => item.webkitGetAsEntry()).filter(Boolean);
+  if (!entries.some((entry) => entry.isDirectory)) return plain;
+  return (await Promise.all(entries.map(within))).flat();
+}
+
+async function within(entry) {
+  if (entry.isFile) {
+    const file = await new Promise((resolve, reject) => entry.file(resolve, reject)).catch(() => null);
+    return file ? [Object.defineProperty(file, "webkitRelativePath", { value: entry.fullPath.slice(1) })] : [];
+  }
+  const reader = entry.createReader();
+  const found = [];
+  for (let some = null; some === null || some.length; found.push(...some))
+    some = await new Promise((resolve, reject) => reader.readEntries(resolve, reject)).catch(() => []);
+  found.sort((one, other) => (one.name < other.name ? -1 : 1));
+  return (await Promise.all(found.map(within))).flat();
 }
 
 /** Say something to those who listen instead of looking. */
