@@ -57,8 +57,8 @@ export function recipeScreen(name) {
   function anew(map) {
     const wrong = h("div");
     const inputs = {
-      labels: h("input", { value: map.recipe.labels.join(", "), required: true }),
-      dynamic: h("input", { value: map.recipe.dynamic.join(", ") }),
+      labels: h("textarea", { value: map.recipe.labels.join(", "), required: true }),
+      dynamic: h("textarea", { value: map.recipe.dynamic.join(", ") }),
       preset: h("input", { value: map.ranking.preset, spellcheck: "false", required: true }),
     };
     const renewed = checkbox("Parameters and ranking as the preset has them now, none of the map's own");
@@ -102,15 +102,15 @@ export function recipeScreen(name) {
             begun(true);
           },
         },
+        h("div", { class: "spaced" }, field("Labels, with commas", inputs.labels)),
+        h("div", { class: "spaced" }, field("Those that move", inputs.dynamic)),
         h(
           "div",
           { class: "fields" },
-          field("Labels, with commas", inputs.labels, true),
-          field("Those that move", inputs.dynamic, true),
           field("Preset", inputs.preset),
           field("Queries to compare", queries),
         ),
-        renewed.label,
+        h("div", { class: "spaced" }, renewed.label),
         differences(map.preset_differences),
         h(
           "div",
