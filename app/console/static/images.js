@@ -73,9 +73,9 @@ async function fetched(path) {
   }
 }
 
-/** An image element that loads once it is near the screen. */
+/** An image element that loads once it is near the screen; until then it is not shown as one that is broken. */
 export function image(path, alt, attributes = {}) {
-  const element = h("img", { alt, decoding: "async", ...attributes });
+  const element = h("img", { alt, decoding: "async", class: "awaited", ...attributes });
   nearby.observe(element);
   paths.set(element, path);
   return element;
@@ -96,9 +96,13 @@ const nearby = new IntersectionObserver(
       imageUrl(paths.get(target), () => target.isConnected).then(
         (url) => {
           target.src = url;
+          target.classList.remove("awaited");
         },
         (error) => {
-          if (error.name !== "AbortError") target.alt += ` (not shown: ${error.detail ?? error.message})`;
+          // What was taken from the page may come back with its screen.
+          if (error.name === "AbortError") return nearby.observe(target);
+          target.alt += ` (not shown: ${error.detail ?? error.message})`;
+          target.classList.remove("awaited");
         },
       );
     }

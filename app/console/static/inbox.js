@@ -16,7 +16,14 @@ export function inboxScreen(name) {
   const path = `/maps/${encodeURIComponent(name)}`;
   const told = h("div");
   const shown = h("div", {}, h("p", {}, "Loading …"));
+  const frame = h(
+    "select",
+    {},
+    FRAMES.map(([value, text]) => h("option", { value }, text)),
+  );
+  const typed = new Map(); // id of a spot -> its inputs: naming one leaves what is typed of the others
   let limit = AT_FIRST;
+  let first = true;
 
   async function load() {
     try {
@@ -34,12 +41,8 @@ export function inboxScreen(name) {
   }
 
   function spots(map, inbox) {
-    const frame = h(
-      "select",
-      {},
-      FRAMES.map(([value, text]) => h("option", { value }, text)),
-    );
-    if (typeof map.extent?.minimum.lat === "number") frame.value = "degrees";
+    if (first && typeof map.extent?.minimum.lat === "number") frame.value = "degrees";
+    first = false;
     const more = h("button", {
       type: "button",
       onclick: () => {
@@ -57,7 +60,7 @@ export function inboxScreen(name) {
       h(
         "ul",
         { class: "matches" },
-        inbox.places.map((place) => spot(place, () => frame.value)),
+        inbox.places.map(spot),
       ),
       inbox.count > inbox.places.length && limit < MOST && h("p", {}, more),
     );
@@ -70,19 +73,27 @@ export function inboxScreen(name) {
     return `${count(kept, "query", "queries")} matched nothing${newest}. What is named here is known from then on.`;
   }
 
-  function spot(place, frame) {
+  function inputsOf(id) {
+    if (!typed.has(id))
+      typed.set(id, {
+        label: h("input", { required: true, maxlength: 200 }),
+        where: h("input", { placeholder: "12.5, 3.0, 90", spellcheck: "false" }),
+      });
+    return typed.get(id);
+  }
+
+  function spot(place) {
     const wrong = h("div");
-    const label = h("input", { required: true, maxlength: 200 });
-    const where = h("input", { placeholder: "12.5, 3.0, 90", spellcheck: "false" });
+    const { label, where } = inputsOf(place.id);
     const seen = `Seen ${place.count === 1 ? "once" : `${place.count} times`}`;
     const address = `${path}/unknown/${encodeURIComponent(place.id)}`;
 
     async function named(event) {
       event.preventDefault();
       try {
-        const typed = Object.entries(typedPosition(where.value.trim(), frame()));
-        const position = Object.fromEntries(typed.map(([key, text]) => [key, numberOf(text)]));
-        const json = { place: label.value.trim(), ...(typed.length && { position }) };
+        const parts = Object.entries(typedPosition(where.value.trim(), frame.value));
+        const position = Object.fromEntries(parts.map(([key, text]) => [key, numberOf(text)]));
+        const json = { place: label.value.trim(), ...(parts.length && { position }) };
         const { views } = await call("POST", address, { json });
         tell(`${count(views.length, "photo")} of ${json.place} enrolled.`);
       } catch (error) {

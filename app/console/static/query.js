@@ -6,6 +6,18 @@ import { mapSelect } from "./choice.js";
 import { announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { snippets } from "./snippets.js";
 
+const GONE = { title: "The photo cannot be sent", detail: "its file was changed or removed; choose it again" };
+
+/** Whether a file can still be read; of one that was removed the beginning has no bytes. */
+const isReadable = (file) =>
+  file
+    .slice(0, 1)
+    .arrayBuffer()
+    .then(
+      (bytes) => bytes.byteLength > 0,
+      () => false,
+    );
+
 export function queryScreen() {
   let file = null;
   let url = null;
@@ -169,7 +181,8 @@ export function queryScreen() {
       below.replaceChildren(...long, snippets(query, file.name || "photo.jpg"));
       announce(result.querySelector("h2").textContent);
     } catch (error) {
-      if (mine === asked) result.replaceChildren(problemBox(error));
+      const sendable = error.status !== 0 || (await isReadable(file));
+      if (mine === asked) result.replaceChildren(problemBox(sendable ? error : GONE));
     } finally {
       if (mine === asked) again.disabled = false;
     }

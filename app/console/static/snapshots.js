@@ -2,7 +2,20 @@
 
 import { address, call, key, send, upload } from "./api.js";
 import { mapSelect } from "./choice.js";
-import { MAP_NAME, announce, confirmed, count, field, h, moment, picker, problemBox, size, table } from "./dom.js";
+import {
+  MAP_NAME,
+  announce,
+  confirmed,
+  count,
+  field,
+  h,
+  moment,
+  picker,
+  problemBox,
+  size,
+  staying,
+  table,
+} from "./dom.js";
 import { followed } from "./jobs.js";
 
 export function snapshotsScreen() {
@@ -158,10 +171,11 @@ function restoring(maps) {
     told.replaceChildren();
     try {
       const path = address("/restore", { as: as.value.trim() });
-      const restored = await upload(path, file, "application/x-tar", (share) => {
+      const sent = (share) => {
         bar.value = share;
         if (share === 1) told.replaceChildren(h("p", { class: "quiet" }, "Verifying and storing it …"));
-      });
+      };
+      const restored = await staying(() => upload(path, file, "application/x-tar", sent));
       const link = h("a", { href: `#maps/${encodeURIComponent(restored.map)}` }, restored.map);
       const pending = restored.pending > 0 && `, ${restored.pending.toLocaleString("en-GB")} of them described anew`;
       const ids = restored.new_ids && " Its views have new ids, since one of theirs was in use.";

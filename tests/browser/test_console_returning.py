@@ -1,0 +1,100 @@
+"""What somebody typed, chose or looked at is there when they come back to it."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.browser.conftest import Open, taken
+from tests.browser.test_console import ask
+from tests.browser.test_console_enrolling import ASKS
+from tests.sample_images import photo as drawn_photo
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Route
+
+
+def test_naming_one_spot_leaves_what_is_typed_of_the_others(opened: Open) -> None:
+    """And whether positions are metres or degrees: a latitude must not become metres."""
+    moments = {"first_at": "2026-03-01T12:00:00Z", "last_at": "2026-03-01T12:00:00Z"}
+    spots = [
+        {"id": name, "count": 1, "queries": [name], "links": {"image": f"/maps/town/unknown/{name}/image"}, **moments}
+        for name in ("q1", "q2")
+    ]
+
+    def answered(route: "Route") -> None:
+        if route.request.url.endswith("/image"):
+            route.fulfill(body=drawn_photo(1), content_type="image/jpeg")
+        elif route.request.method == "POST":
+            del spots[0]
+            route.fulfill(json={"views": [], "queries": 1})
+        else:
+            counts = {"keep_queries": 500, "kept": 2, "examined": 2, "count": len(spots)}
+            route.fulfill(json={"map": "town", "places": spots, **counts})
+
+    tab = opened("service")
+    tab.page.route(re.compile("/maps/town/unknown"), answered)
+    tab.show("maps/town/inbox")
+    tab.page.get_by_label("Positions are in").select_option("degrees")
+    one, other = tab.page.locator(".spot").nth(0), tab.page.locator(".spot").nth(1)
+    other.get_by_label("What place is it?").fill("quay")
+    other.get_by_label("Position, if known").fill("52.5, 13.4")
+    one.get_by_label("What place is it?").fill("bridge")
+    one.get_by_label("What place is it?").press("Enter")
+    tab.awaits(".spot", 1)
+    assert tab.page.get_by_label("What place is it?").input_value() == "quay"
+    assert tab.page.get_by_label("Position, if known").input_value() == "52.5, 13.4"
+    assert tab.page.get_by_label("Positions are in").input_value() == "degrees"
+
+
+def test_images_that_were_on_their_way_when_the_answer_was_left_are_there_on_return(
+    opened: Open, query_photo: Path
+) -> None:
+    """On a slow network; until they come they do not look broken."""
+    tab = opened("ask", size={"width": 1280, "height": 2000})
+    held: list[Route] = []
+    slow = [True]
+    tab.page.route(
+        re.compile("/thumbnail$|/views/[^/]+/image$"),
+        lambda route: held.append(route) if slow else route.continue_(),
+    )
+    ask(tab, query_photo)
+    tab.page.wait_for_function("document.querySelectorAll('.match img').length === 5")
+    while len(held) < 6:  # as many as are fetched at once
+        tab.page.wait_for_timeout(20)
+    first = tab.page.locator(".match img").first
+    assert first.evaluate("image => getComputedStyle(image).opacity") == "0"
+    tab.show("maps")
+    slow.clear()
+    for route in held:
+        route.continue_()
+    tab.page.wait_for_timeout(500)
+    tab.show("ask")
+    tab.awaits(".match img[src^=blob]", 5)
+    assert first.evaluate("image => getComputedStyle(image).opacity") == "1"
+
+
+def test_a_photo_that_is_gone_since_is_not_taken_for_a_service_that_is_away(opened: Open, tmp_path: Path) -> None:
+    photo = tmp_path / "today.jpg"
+    photo.write_bytes(taken("mill lane", 25))
+    tab = opened("ask")
+    ask(tab, photo)
+    photo.unlink()
+    tab.page.get_by_role("button", name="Ask", exact=True).click()
+    tab.page.get_by_text("The photo cannot be sent: its file was changed or removed; choose it again").wait_for()
+    tab.complaints.clear()  # of the file
+
+
+def test_a_tab_that_sends_a_snapshot_is_not_closed_without_a_word(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "town.tar").write_bytes(b"x" * 1000)
+    tab = opened("snapshots", refusals=True)
+    held: list[Route] = []
+    tab.page.route("**/restore", lambda route: held.append(route))
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(tmp_path / "town.tar")
+    assert not tab.page.evaluate(ASKS)
+    tab.page.get_by_role("button", name="Restore", exact=True).click()
+    while not held:
+        tab.page.wait_for_timeout(20)
+    assert tab.page.evaluate(ASKS)
+    held[0].continue_()
+    tab.page.locator("main").get_by_role("alert").wait_for()
+    assert not tab.page.evaluate(ASKS)
