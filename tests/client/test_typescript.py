@@ -85,3 +85,21 @@ def test_node_speaks_to_a_service(generate: ModuleType, tmp_path: Path) -> None:
         "thumbnail": "image/jpeg",
         "problems": [[404, "not-found", 0], [422, "invalid-parameter", 1], *[[0, "", 0]] * 6, "Error: another page"],
     }
+
+
+def test_gateways_aborts_and_streams_are_told_apart_from_a_service_that_is_away(
+    generate: ModuleType, tmp_path: Path
+) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("NOT RUN BY NODE: there is none")
+    module = tmp_path / "revisit.mjs"
+    module.write_text(generate.SERVED.read_text())
+    done = subprocess.run([node, FOLDER / "test" / "odd.mjs", module], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    aborted, busy, gateway, stream, address = json.loads(done.stdout)
+    assert aborted == "Error: another page"
+    assert (busy["status"], busy["waits"]) == (503, True)
+    assert gateway == {"status": 502, "title": "Status 502", "detail": "", "errors": [], "waits": False}
+    assert stream == {"sent": 3000}
+    assert (address["status"], address["title"]) == (0, "Nothing was sent")

@@ -61,19 +61,20 @@ export class Problem extends Error {
   readonly retryAfter: number | null;
 
   constructor(status: number, body: Partial<Schemas["Problem"]>, retryAfter: number | null = null) {
-    super(body.detail);
+    super(typeof body.detail === "string" ? body.detail : "");
     this.status = status;
     this.code = (body.type ?? "").split(":").pop() ?? "";
-    this.title = body.title || `Status ${status}`; // a gateway's JSON has none
-    this.detail = body.detail ?? "";
-    this.errors = body.errors ?? [];
+    // A gateway's JSON has none of these, or something else by their names.
+    this.title = typeof body.title === "string" && body.title ? body.title : `Status ${status}`;
+    this.detail = typeof body.detail === "string" ? body.detail : "";
+    this.errors = Array.isArray(body.errors) ? body.errors : [];
     this.requestId = body.request_id ?? null;
     this.retryAfter = retryAfter;
   }
 
   /** The problem that a response says; of one that says none, its status. */
   static async of(response: Response): Promise<Problem> {
-    const retry = Number(response.headers.get("Retry-After")) || null;
+    const retry = seconds(response.headers.get("Retry-After"));
     try {
       return new Problem(response.status, (await response.json()) as Schemas["Problem"], retry);
     } catch {
@@ -167,21 +168,28 @@ export class Revisit {
     const { query = {}, json = null, type = json === null ? null : "application/json", signal = null } = options;
     const headers = this.headers();
     if (type !== null) headers["Content-Type"] = type;
+    const whole = checked(this.#url + address(path, query));
+    const body = options.body ?? (json === null ? null : JSON.stringify(json));
+    // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
+    const stream = typeof ReadableStream !== "undefined" && body instanceof ReadableStream ? { duplex: "half" } : {};
     let response: Response;
     try {
-      response = await (this.#settings.fetch ?? fetch)(this.#url + address(path, query), {
+      response = await (this.#settings.fetch ?? fetch)(whole, {
         method,
         headers,
         signal,
-        body: options.body ?? (json === null ? null : JSON.stringify(json)),
+        body,
         credentials: "omit",
+        ...stream,
       });
     } catch (error) {
       if (isAborted(error, signal)) throw error;
       throw Problem.silence();
     }
     if (response.ok) return response;
-    throw await Problem.of(response);
+    const problem = await Problem.of(response);
+    signal?.throwIfAborted(); // while the problem was read
+    throw problem;
   }
 
   async #call<T>(method: string, path: string, options: Options & { path?: unknown } = {}): Promise<T> {
@@ -208,6 +216,24 @@ function part(value: string): string {
     throw new Problem(0, { title: "Nothing was sent", detail: `${JSON.stringify(value)} is no name and no id` });
   }
   return encodeURIComponent(value);
+}
+
+/** The address of a request; throws a Problem for one that no service has, which fetch takes for one that is away. */
+function checked(whole: string): string {
+  try {
+    if (/^https?:$/.test(new URL(whole, globalThis.location?.href).protocol)) return whole;
+  } catch {
+    // told below
+  }
+  const detail = `${whole} is no address of a service, as http://127.0.0.1:8000 is`;
+  throw new Problem(0, { title: "Nothing was sent", detail });
+}
+
+/** Seconds that a Retry-After names: a number, or the date of a proxy; null where it names none. */
+function seconds(named: string | null): number | null {
+  const given = Number(named ?? NaN);
+  const left = Number.isNaN(given) ? (Date.parse(named ?? "") - Date.now()) / 1000 : given;
+  return Number.isNaN(left) ? null : Math.max(0, left) || null;
 }
 
 function form(image: Blob): FormData {
