@@ -65,9 +65,12 @@ class Connection:
     ) -> None:
         self.url = url
         self._patience, self._sleep, self._clock = patience, sleep, clock
+        usual = httpx.Timeout(timeout, connect=min(5.0, timeout))
+        # For what is answered once all that was sent is stored, in an object store say: that takes as long as it takes.
+        self.until_stored = httpx.Timeout(timeout, connect=usual.connect, read=None)
         self._made: dict[str, Any] = {
             "base_url": _address(url),
-            "timeout": httpx.Timeout(timeout, connect=min(5.0, timeout)),
+            "timeout": usual,
             "transport": transport,
             "headers": {"user-agent": USER_AGENT} | _bearing(key),
         }

@@ -98,6 +98,7 @@ class JobCalls:
             ),
             content=body,
             headers=headers,
+            timeout=self._connection.until_stored,
             repeat=False,
         )
 

@@ -74,6 +74,6 @@ class SnapshotCalls:
             params=texts({"as": name}),
             content=Body(partial(pieces_of, source)),
             headers=headers,
-            timeout=None,  # it is answered when all of it is stored
+            timeout=self._connection.until_stored,
             repeat=False,
         )

@@ -196,6 +196,21 @@ def test_a_recording_is_sent_again_from_its_beginning_to_a_service_that_was_star
     assert b"a photo" in sent[2]
 
 
+def test_an_answer_that_comes_once_all_is_stored_is_waited_for(tmp_path: Path) -> None:
+    """A recording may go to an object store before that; a body that stands still is given up all the same."""
+    seen: list[dict[str, float | None]] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        seen.append(request.extensions["timeout"])
+        return httpx.Response(202, json=answers.job("waiting"))
+
+    (tmp_path / "a.zip").write_bytes(b"zip")
+    client(handler).import_recording(tmp_path / "a.zip", map="campus")
+    with pytest.raises(ClientError):  # that is no map
+        client(handler).restore(tmp_path / "a.zip")
+    assert [(timeout["read"], timeout["write"]) for timeout in seen] == [(None, 60), (None, 60)]
+
+
 def test_an_enrolment_whose_answer_got_lost_waits_for_the_first_that_still_runs() -> None:
     replayed = httpx.Response(201, json=answers.enrolled(), headers={"idempotent-replayed": "true"})
     handler = in_turn(httpx.ReadError("a proxy cut the answer"), refused("conflict", 409), replayed)
