@@ -1,6 +1,7 @@
 """The layer of rclpy: topics, types, stamps, parameters, hand-overs; what it computes is tested elsewhere."""
 
 import math
+import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -206,7 +207,24 @@ def test_a_parameter_that_cannot_be_used_ends_the_node_with_its_name(graph: Grap
     graph.parameters["enroll"] = {"key": "not a key"}
     with pytest.raises(SystemExit):
         enroll_node.main()
-    assert any(level == "fatal" and line.startswith("key: ") for level, line in graph.lines)
+    assert any(level == "fatal" and line.startswith("the key has letters") for level, line in graph.lines)
+
+
+def test_an_address_or_a_proxy_that_is_none_ends_the_node_in_words(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from revisit_ros import enroll_node
+
+    def ended(url: str) -> str:
+        graph.parameters["enroll"] = {"url": url}
+        with pytest.raises(SystemExit) as end:
+            enroll_node.main()
+        assert end.value.code == 2
+        return graph.lines[-1][1]
+
+    assert ended("robot:8000").startswith("'robot:8000' is no address of a service")
+    monkeypatch.setenv("HTTP_PROXY", "what://proxy")
+    assert re.match("HTTP_PROXY.* cannot be used", ended("http://robot:8000"))
 
 
 def test_images_are_enrolled_where_the_camera_was_when_they_were_taken(

@@ -13,7 +13,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
-from revisit_client import Revisit
+from revisit_client import ClientError, Revisit
 from sensor_msgs.msg import CompressedImage, Image
 from tf2_ros import Buffer, TransformException, TransformListener
 
@@ -51,8 +51,8 @@ class RevisitNode(Node):
             self.revisit = Revisit(
                 self.values["url"] or None, key=key_of(self.values), timeout=self.values["timeout"], patience=0
             )
-        except ValueError as error:
-            raise BadParameter(f"key: {error}") from None
+        except ClientError as error:  # of the address, the key, or a proxy that the environment names
+            raise BadParameter(str(error)) from None
         self.clock = time.monotonic
         self._buffer = Buffer()
         self._listener = TransformListener(self._buffer, self)
