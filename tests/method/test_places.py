@@ -76,6 +76,15 @@ def test_two_names_above_each_other_are_two_storeys(
     assert (house.same(0, 1), house.apart(1, 0), house.told_apart(0, 1)) == (same, apart, told_apart)
 
 
+def test_heights_of_satellite_positions_make_no_storeys() -> None:
+    shop, bakery = (
+        KnownView(name, Position(lat=48.0, lon=11.0, alt=alt)) for name, alt in (("shop", 520), ("bakery", 523))
+    )
+    house = places(shop, bakery)
+    assert (house.same(0, 1), house.apart(0, 1), house.told_apart(0, 1)) == (True, False, False)
+    assert house.positions(0) == [shop.position, bakery.position]
+
+
 def test_an_estimate_asks_for_positions_of_one_storey_of_one_map() -> None:
     below, above, unnamed = at(0, name="lift 1", z=0), at(1, name="lift 2", z=3), at(2, z=3)
     other_map = KnownView("lift 3", Position(x=3, y=0), map=1)

@@ -11,9 +11,9 @@ NEIGHBOURHOOD = 4.0
 """Views further apart than a place is wide, but not more than this many times, are neighbours: along a path they show
 much of the same things, so they are evidence neither for the place nor against it."""
 
-
 STOREY_M = 2.0
-"""Views of two names are on two storeys when one lies this much higher than the other, metres: rooms are no lower."""
+"""Views of two names are on two storeys when one lies this much higher than the other in the map's frame, metres: rooms
+are no lower. Heights of satellite positions are off by more than that."""
 
 STEEP = 6.0
 """Of views on two storeys one is above the other where the way between them is at most this many times its height: few
@@ -22,7 +22,6 @@ paths and streets are as steep."""
 ENOUGH_VIEWS, ENOUGH_PLACES = 20, 10
 """Views of other places, and other places. The best of fewer scores less than wrong answers get in a map of usual size:
 then neighbours are rivals too."""
-
 
 SAME_SPOT_INLIERS, SAME_SPOT_SCORE = 40, 0.55
 """Two views show the same spot when this many keypoints agree, of 300, and they score this much. Of pairs of views of
@@ -63,7 +62,8 @@ class Places:
         """Whether two views are of one map, and their names and heights do not say that they are on two storeys."""
         a, b = self._known[one], self._known[other]
         named = a.name is not None and b.name is not None and a.name != b.name
-        return a.map == b.map and not (named and climb(a.position, b.position) >= STOREY_M)
+        framed = a.position.z is not None
+        return a.map == b.map and not (named and framed and climb(a.position, b.position) >= STOREY_M)
 
     def _is_above(self, one: int, other: int, gap: float) -> bool:
         """Whether one of two views of one map, `gap` metres apart, is on a storey above the other."""

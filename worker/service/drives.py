@@ -185,8 +185,10 @@ class Drives:
         return results, posterior, count
 
     def _path(self, key: tuple[str, str], timeout_s: float, of: tuple[int, str], ends_row: bool) -> _Path:
-        """The drive up to its last image; a new one where there is none, or its last image is too old. `ends_row`: after
-        an image that is matched to nothing, since no view was searched."""
+        """The drive up to its last image; a new one where there is none, or its last image is too old.
+
+        `ends_row`: after an image that is matched to nothing, since no view was searched.
+        """
         with self._lock:
             kept = self._kept.get(key)
             if kept is None or not kept.goes_on(of, self._now(), timeout_s):

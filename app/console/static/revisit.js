@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from 7255c9e5b46a34c2fe552dfb46bb031e9b7d2919b347acb85171acd29618366b
+// By client/typescript/generate.py, from e98cd9a71316cafd8c78dea1a56b2a267d326f9d1b1f18e39380456f8ea0a3af
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -105,7 +105,8 @@ export class Revisit {
         const whole = checked(this.#url + address(path, query));
         const body = options.body ?? (json === null ? null : JSON.stringify(json));
         // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
-        const stream = typeof ReadableStream !== "undefined" && body instanceof ReadableStream ? { duplex: "half" } : {};
+        const streams = typeof ReadableStream !== "undefined" && body instanceof ReadableStream;
+        const stream = streams ? { duplex: "half" } : {};
         let response;
         try {
             response = await (this.#settings.fetch ?? fetch)(whole, {

@@ -171,7 +171,8 @@ export class Revisit {
     const whole = checked(this.#url + address(path, query));
     const body = options.body ?? (json === null ? null : JSON.stringify(json));
     // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
-    const stream = typeof ReadableStream !== "undefined" && body instanceof ReadableStream ? { duplex: "half" } : {};
+    const streams = typeof ReadableStream !== "undefined" && body instanceof ReadableStream;
+    const stream = streams ? { duplex: "half" } : {};
     let response: Response;
     try {
       response = await (this.#settings.fetch ?? fetch)(whole, {
