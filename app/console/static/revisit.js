@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from e98cd9a71316cafd8c78dea1a56b2a267d326f9d1b1f18e39380456f8ea0a3af
+// By client/typescript/generate.py, from e5a6b2cc53f2e4ba0731e671ffd026f5a696fe14363a55e369d788811fd733b9
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -163,7 +163,7 @@ function checked(whole) {
     catch {
         // told below
     }
-    const detail = `${whole} is no address of a service, as http://127.0.0.1:8000 is`;
+    const detail = `${whole} is no address of a service: it begins with http or https, and names a machine`;
     throw new Problem(0, { title: "Nothing was sent", detail });
 }
 /** Seconds that a Retry-After names: a number, or the date of a proxy; null where it names none. */

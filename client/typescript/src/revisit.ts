@@ -226,7 +226,7 @@ function checked(whole: string): string {
   } catch {
     // told below
   }
-  const detail = `${whole} is no address of a service, as http://127.0.0.1:8000 is`;
+  const detail = `${whole} is no address of a service: it begins with http or https, and names a machine`;
   throw new Problem(0, { title: "Nothing was sent", detail });
 }
 
