@@ -110,6 +110,19 @@ def test_both_recipes_answer_the_kept_queries_and_the_map_changes_over_when_it_i
     assert (decided["totals"], decided["queries"]) == (totals, [])
 
 
+def test_a_view_on_another_floor_does_not_show_the_place(client: CheckedClient) -> None:
+    """Three floors surveyed at one spot, the lowest from two sides: only there can a first place be right."""
+    assert client.put("/maps/tower", json={}).status_code == 201
+    for seed, (x, z) in enumerate([(0.0, 0.0), (0.5, 0.0), (0.0, 12.0), (0.0, 24.0)]):
+        known = {"map": "tower", "x": x, "y": 0.0, "z": z}
+        assert client.post("/enroll", params=known, content=image(seed), headers=JPEG).status_code == 201
+    assert client.post("/maps/tower/recipe", json={**OTHER, "shadow": 4}).status_code == 202
+
+    shadow = until(lambda: client.get("/maps/tower/shadow").json(), lambda found: found["state"] == "ready")
+
+    assert (shadow["table"]["totals"]["queries"], shadow["table"]["totals"]["known"]) == (4, 2)
+
+
 def test_a_discarded_shadow_leaves_the_map_as_it_was(client: CheckedClient, runtime: Runtime) -> None:
     before, facts = ask(client, 1), client.get("/maps/default").json()
     begun(client)

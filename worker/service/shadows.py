@@ -30,6 +30,7 @@ from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
+from worker.method.estimate import is_known
 from worker.search.catalogue import MakeIndex
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue, Index, SearchableIndex
@@ -360,7 +361,11 @@ class ShadowService:
         """Whether the map has another view of a view's place, as its user told it."""
         place = place_of(view, within_m)
         only = None if place is None else self._listings.select(view.map, place).only
-        return only is not None and bool({int(seq) for seq in only} - {view.seq})
+        others = [] if only is None else [int(seq) for seq in only if seq != view.seq]
+        if not is_known(view.attributes.position):
+            return bool(others)
+        # They lie near on the plane; on another floor is another place.
+        return any(shows(one, view, within_m) for one in self._views.at(others).values())
 
 
 def _unless(stopping: Callable[[], bool]) -> None:
