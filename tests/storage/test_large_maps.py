@@ -4,6 +4,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -115,3 +116,16 @@ def test_a_view_is_changed_while_others_write_however_many_answers_are_kept(data
         few = measured("west")
         have_answered(store, MANY)
         assert 0 < measured("south") < 1.2 * few
+
+
+def test_a_page_of_jobs_reads_the_rows_of_no_others(data: Path) -> None:
+    put_tables(data)
+    with closing(open_store(sqlite_url(data), data)) as store:
+        page = partial(store.jobs.list, "campus", kind="describe", limit=10)
+        enroll(store, "gate")
+        have_described(store, 10)
+        page()
+        few = steps(store, page)
+        have_described(store, MANY)
+        each = (steps(store, page) - few) * STEP / MANY
+        assert each < 25  # instructions; 44 where whole rows are put in order

@@ -195,20 +195,22 @@ class MapJobs(Jobs):
 
         `among`: of these maps alone.
         """
-        page = _job_rows().order_by(JOBS.c.number.desc()).limit(limit + 1)
+        # Their numbers first: a map has a job for each view, and whole rows of all would be read to be sorted.
+        numbers = sa.select(JOBS.c.number).join(MAPS, _NAMED).order_by(JOBS.c.number.desc()).limit(limit + 1)
         if cursor is not None:
             [last] = read_cursor("jobs", cursor, int)
-            page = page.where(JOBS.c.number < last)
+            numbers = numbers.where(JOBS.c.number < last)
         if among is not None:
-            page = page.where(JOBS.c.map_id.in_(maps_named(among)))
+            numbers = numbers.where(JOBS.c.map_id.in_(maps_named(among)))
         if kind is not None:
-            page = page.where(JOBS.c.kind == kind)
+            numbers = numbers.where(JOBS.c.kind == kind)
         if state is not None:
-            page = page.where(JOBS.c.state == state)
+            numbers = numbers.where(JOBS.c.state == state)
         with self._database.reading() as connection:
             if name is not None:
-                page = page.where(JOBS.c.map_id == find_map(connection, name).id)
-            rows = [*connection.execute(page)]
+                numbers = numbers.where(JOBS.c.map_id == find_map(connection, name).id)
+            listed = JOBS.c.number.in_(list(connection.scalars(numbers)))
+            rows = [*connection.execute(_job_rows().where(listed).order_by(JOBS.c.number.desc()))]
             records = [_of_row(connection, row) for row in rows[:limit]]
         return records, cursor_after("jobs", rows[limit - 1].number) if len(rows) > limit else None
 
@@ -306,13 +308,15 @@ def _end(connection: sa.Connection, number: int, state: JobState, now: datetime,
     deleted_images.forget(connection, number)
 
 
+_NAMED = sa.and_(MAPS.c.id == JOBS.c.map_id, MAPS.c.name.is_not(None))
+
+
 @cache
 def _job_rows() -> sa.Select[Any]:
     """Selects jobs with the name of their map and the id of their view."""
-    named = sa.and_(MAPS.c.id == JOBS.c.map_id, MAPS.c.name.is_not(None))
     return (
         sa.select(JOBS, MAPS.c.name.label("map"), VIEWS.c.id.label("view_id"))
-        .select_from(JOBS.join(MAPS, named))
+        .select_from(JOBS.join(MAPS, _NAMED))
         .outerjoin(VIEWS, VIEWS.c.seq == JOBS.c.seq)
     )
 
