@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from e5a6b2cc53f2e4ba0731e671ffd026f5a696fe14363a55e369d788811fd733b9
+// By client/typescript/generate.py, from 9cebd8e95c6f00d1cad6c34047911e6cf29fd02fc497e9edaf26b14e9bb8e01d
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -105,8 +105,7 @@ export class Revisit {
         const whole = checked(this.#url + address(path, query));
         const body = options.body ?? (json === null ? null : JSON.stringify(json));
         // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
-        const streams = typeof ReadableStream !== "undefined" && body instanceof ReadableStream;
-        const stream = streams ? { duplex: "half" } : {};
+        const stream = body instanceof ReadableStream ? { duplex: "half" } : {};
         let response;
         try {
             response = await (this.#settings.fetch ?? fetch)(whole, {
@@ -154,7 +153,7 @@ function part(value) {
     }
     return encodeURIComponent(value);
 }
-/** The address of a request; throws a Problem for one that no service has, which fetch takes for one that is away. */
+/** The address of a request; throws a Problem for what is none, which fetch takes for a service that is away. */
 function checked(whole) {
     try {
         if (/^https?:$/.test(new URL(whole, globalThis.location?.href).protocol))
@@ -163,7 +162,7 @@ function checked(whole) {
     catch {
         // told below
     }
-    const detail = `${whole} is no address of a service: it begins with http or https, and names a machine`;
+    const detail = `${whole} is no address of a service: it needs a scheme, http or https, and a host`;
     throw new Problem(0, { title: "Nothing was sent", detail });
 }
 /** Seconds that a Retry-After names: a number, or the date of a proxy; null where it names none. */

@@ -171,8 +171,7 @@ export class Revisit {
     const whole = checked(this.#url + address(path, query));
     const body = options.body ?? (json === null ? null : JSON.stringify(json));
     // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
-    const streams = typeof ReadableStream !== "undefined" && body instanceof ReadableStream;
-    const stream = streams ? { duplex: "half" } : {};
+    const stream = body instanceof ReadableStream ? { duplex: "half" } : {};
     let response: Response;
     try {
       response = await (this.#settings.fetch ?? fetch)(whole, {
@@ -219,14 +218,14 @@ function part(value: string): string {
   return encodeURIComponent(value);
 }
 
-/** The address of a request; throws a Problem for one that no service has, which fetch takes for one that is away. */
+/** The address of a request; throws a Problem for what is none, which fetch takes for a service that is away. */
 function checked(whole: string): string {
   try {
     if (/^https?:$/.test(new URL(whole, globalThis.location?.href).protocol)) return whole;
   } catch {
     // told below
   }
-  const detail = `${whole} is no address of a service: it begins with http or https, and names a machine`;
+  const detail = `${whole} is no address of a service: it needs a scheme, http or https, and a host`;
   throw new Problem(0, { title: "Nothing was sent", detail });
 }
 
