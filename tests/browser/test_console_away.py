@@ -85,3 +85,33 @@ def test_maps_that_did_not_come_are_fetched_again(
     tab.page.locator("main").get_by_text("2 of 2 photos done.").wait_for()
     assert len(views(service, "town")) == before + 2
     tab.complaints.clear()  # of the maps that did not come
+
+
+@pytest.mark.parametrize("screen", ["ask", "enrol", "maps", "maps/town", "maps/town/health", "maps/town/recipe"])
+def test_a_screen_that_met_a_service_that_was_away_is_opened_once_more(opened: Open, screen: str) -> None:
+    """Without loading the page again, which would lose the photos on Enrol."""
+    tab = opened("service")
+    api = re.compile(r"/maps(/town)?(/health.*)?$")
+    tab.page.route(api, lambda route: route.abort())
+    tab.page.goto(f"{tab.url}/#{screen}")
+    away = tab.page.get_by_role("alert").filter(has_text="No answer")
+    away.wait_for()
+    tab.page.unroute(api)
+    tab.page.get_by_role("button", name="Try again").press("Enter")
+    away.wait_for(state="detached")
+    tab.page.locator("main").get_by_text("town").first.wait_for(state="attached")
+    tab.complaints.clear()  # of what did not come
+
+
+def test_what_is_loaded_follows_the_service_and_what_is_unfolded_stays(opened: Open) -> None:
+    """An upgrade, or a start, that happens while the screen is looked at."""
+    tab = opened("maps")
+    tab.page.route("**/version", lambda route: route.abort())
+    tab.show("service")
+    panel = tab.page.locator("section").filter(has=tab.page.get_by_role("heading", name="What is loaded"))
+    panel.get_by_role("alert").wait_for()
+    tab.page.unroute("**/version")
+    panel.get_by_text("Libraries").click()
+    tab.page.wait_for_timeout(6000)  # it has been looked at again
+    assert panel.locator("details").get_attribute("open") is not None
+    tab.complaints.clear()  # of what did not come

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
-from app.http.examples import VIEW
+from app.http.examples import MAP_HEALTH, VIEW
 from tests.browser.conftest import PHONE, Open, Tab
 from tests.sample_images import photo as drawn_photo
 
@@ -71,6 +71,8 @@ class MadeUp:
             self.rows[number] = self.rows[number] | {"place": json.loads(route.request.post_data or "{}")["place"]}
             self.revision += 1
             route.fulfill(json=self.rows[number])
+        elif url.path in (links := {row["links"]["self"]: row for row in self.rows}):
+            route.fulfill(json=links[url.path])
         else:
             route.fulfill(body=self._photo, content_type="image/jpeg")
 
@@ -174,3 +176,26 @@ def test_the_plan_of_a_very_large_map_is_read_on_when_somebody_wants_all(opened:
     town.jobs = []
     tab.page.get_by_label("Plan with 21,201 positions").wait_for()
     assert len(town.read) == 2
+
+
+def test_an_edited_view_leaves_as_many_findings_as_there_were(opened: Open) -> None:
+    tab = opened("service")
+    town = MadeUp(tab, north=30)
+    duplicates = [
+        MAP_HEALTH["findings"][0] | {"code": "duplicates", "detail": f"pair {number}", "views": [f"v{number:06}"]}
+        for number in range(15)
+    ]
+    counts = {"duplicates": 15}
+    health = MAP_HEALTH | {"counts": counts, "findings": duplicates}
+    tab.page.route("**/maps/town/health*", lambda route: route.fulfill(json=health))
+    tab.show("maps/town/health")
+    tab.awaits(".finding", 6)
+    tab.page.get_by_role("button", name="More").click()
+    tab.awaits(".finding", 12)
+    tab.page.locator(".finding", has_text="Pair 11").get_by_role("button", name="Open north").press("Enter")
+    tab.page.get_by_text("Edit", exact=True).press("Enter")
+    tab.page.get_by_role("dialog").get_by_label("Place").fill("south")
+    tab.page.get_by_role("dialog").get_by_label("Place").press("Enter")
+    tab.page.locator(".finding", has_text="Pair 11").get_by_role("button", name="Open south").wait_for()
+    tab.awaits(".finding", 12)
+    assert town.rows[11]["place"] == "south"

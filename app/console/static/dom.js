@@ -133,6 +133,17 @@ export function problemBox(problem) {
   );
 }
 
+/** The problem that a screen met when it was opened, and a button that opens it once more. */
+export function screenProblem(problem) {
+  const again = () => window.dispatchEvent(new Event("again"));
+  return h(
+    "div",
+    { class: "spaced" },
+    problemBox(problem),
+    h("button", { type: "button", onclick: again }, "Try again"),
+  );
+}
+
 /** Rows of names and numbers with a bar each; `of`: the value of a full bar. */
 export function bars(rows, { of = 1, text = percent, className = "bars" } = {}) {
   return h(

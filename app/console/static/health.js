@@ -2,7 +2,7 @@
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
-import { count, facts, folded, h, place as inWords, problemBox, sentence, table } from "./dom.js";
+import { count, facts, folded, h, place as inWords, problemBox, screenProblem, sentence, table } from "./dom.js";
 import { image, thumbnail } from "./images.js";
 import { mapHead } from "./parts.js";
 import { plan, surroundings } from "./plan.js";
@@ -29,6 +29,7 @@ const KINDS = [
 export function healthScreen(name) {
   const path = `/maps/${encodeURIComponent(name)}`;
   const shown = h("div", {}, h("p", {}, "Examining the map …"));
+  const reached = new Map(); // code -> how many of its findings are shown
   const unfolded = new Map(KINDS.map(([code, , , open]) => [code, open]));
   let map = null;
 
@@ -45,7 +46,7 @@ export function healthScreen(name) {
       const groups = new Map(found.map((kind) => [kind[0], group(kind, health)]));
       shown.replaceChildren(summary(health, groups), ...groups.values());
     } catch (error) {
-      shown.replaceChildren(problemBox(error));
+      shown.replaceChildren(screenProblem(error));
     }
   }
 
@@ -95,7 +96,10 @@ export function healthScreen(name) {
     return h("section", { class: "panel finds", "data-code": code }, details);
   }
 
-  const pictured = (first, all, total) => byPortions(first, all, total, A_PORTION, finding);
+  function pictured(first, all, total) {
+    const code = first[0].code;
+    return byPortions(first, all, total, A_PORTION, finding, reached.get(code), (number) => reached.set(code, number));
+  }
 
   function finding(one) {
     const images = h("div", { class: "sides" });
@@ -197,7 +201,7 @@ export function healthScreen(name) {
       .map((one) => ({ position: one.position, kind: "first", name: one.places.join(" – ") }));
     const picture = plan(points);
     surroundings(name).then(picture.add, () => {}); // the plan of the gaps alone is a plan too
-    return h("div", {}, points.length > 0 && picture.element, byPortions(first, all, total, A_PORTION, finding));
+    return h("div", {}, points.length > 0 && picture.element, pictured(first, all, total));
   }
 
   return { element: h("div", {}, mapHead(name, "health"), shown), enter: load };
@@ -213,18 +217,22 @@ function later(made) {
   return box;
 }
 
-/** Some findings at a time; those that the first answer left out are fetched when somebody goes on to them. */
-function byPortions(first, all, total, portion, make) {
+/**
+ * Some findings at a time; those that the first answer left out are fetched when somebody goes on to them. As many as
+ * were shown before are shown at once; `tell` is told how many are.
+ */
+function byPortions(first, all, total, portion, make, before = portion, tell = () => {}) {
   let items = first;
   let shown = 0;
   const list = h("div");
   const next = h("button", { type: "button", onclick: () => more() }, "More");
-  async function more() {
+  async function more(number = portion) {
     next.disabled = true;
     try {
-      if (shown + portion > items.length) items = await all();
-      list.append(...items.slice(shown, shown + portion).map(make));
-      shown = Math.min(shown + portion, items.length);
+      if (shown + number > items.length) items = await all();
+      list.append(...items.slice(shown, shown + number).map(make));
+      shown = Math.min(shown + number, items.length);
+      tell(shown);
       next.hidden = shown >= items.length;
       if (next.hidden) list.append(beyond(items.length, total) ?? "");
     } catch (error) {
@@ -233,7 +241,7 @@ function byPortions(first, all, total, portion, make) {
       next.disabled = false;
     }
   }
-  more();
+  more(before);
   return h("div", {}, list, next);
 }
 

@@ -2,7 +2,7 @@
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
-import { announce, count, field, folded, h, moment, problemBox } from "./dom.js";
+import { announce, count, field, folded, h, moment, problemBox, screenProblem } from "./dom.js";
 import { image } from "./images.js";
 import { dismiss, keeping } from "./keeping.js";
 import { mapHead } from "./parts.js";
@@ -36,7 +36,7 @@ export function inboxScreen(name) {
       chooseMap(name);
       shown.replaceChildren(spots(map, inbox), kept(inbox), ...proposalSections(path, proposals, tell));
     } catch (error) {
-      shown.replaceChildren(problemBox(error));
+      shown.replaceChildren(screenProblem(error));
     }
   }
 

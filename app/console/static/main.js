@@ -1,7 +1,7 @@
 // The frame: which screen is shown, sign in, light and dark.
 
 import { Problem, call, key } from "./api.js";
-import { announce, field, h, keepsDrops, problemBox } from "./dom.js";
+import { announce, field, h, keepsDrops, problemBox, screenProblem } from "./dom.js";
 import { enrolScreen } from "./enrol.js";
 import { healthScreen } from "./health.js";
 import { inboxScreen } from "./inbox.js";
@@ -58,7 +58,7 @@ async function show() {
 function shown() {
   show().catch((error) => {
     if (error instanceof Problem && error.status === 401) return; // the dialog is open
-    main.prepend(problemBox(error));
+    main.prepend(screenProblem(error));
   });
 }
 
@@ -172,6 +172,7 @@ const links = () => (document.getElementById("docs").hidden = Boolean(key.get())
 window.addEventListener("key", links);
 links();
 keepsDrops();
+window.addEventListener("again", shown);
 window.addEventListener("unauthorized", (event) => signIn(event.detail));
 window.addEventListener("hashchange", () => {
   // "Back" leaves a dialog with the screen that it was opened from; the one for a key is of every screen.

@@ -16,6 +16,7 @@ import {
   moment,
   percent,
   problemBox,
+  screenProblem,
   size,
 } from "./dom.js";
 import { jobList } from "./jobs.js";
@@ -274,7 +275,7 @@ export function mapScreen(name) {
     enter: () =>
       load().catch((error) => {
         if (error.status === 401) throw error; // the dialog is open
-        element.replaceChildren(...mapHead(name), problemBox(error));
+        element.replaceChildren(...mapHead(name), screenProblem(error));
       }),
     leave: () => {
       left = true;

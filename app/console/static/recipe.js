@@ -14,6 +14,7 @@ import {
   h,
   percent,
   problemBox,
+  screenProblem,
   table,
 } from "./dom.js";
 import { image } from "./images.js";
@@ -44,7 +45,7 @@ export function recipeScreen(name) {
       chooseMap(name);
       shown.replaceChildren(...(shadow ? shadowSections(shadow) : [anew(map)]));
     } catch (error) {
-      shown.replaceChildren(problemBox(error));
+      shown.replaceChildren(screenProblem(error));
     }
   }
 

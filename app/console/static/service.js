@@ -3,18 +3,29 @@
 import { Problem, call, fetched, recentProblems, send, service } from "./api.js";
 import { count, facts, h, problemBox, size } from "./dom.js";
 import { jobList } from "./jobs.js";
+import { part } from "./parts.js";
 
 const EVERY_MS = 5000;
 
 export function serviceScreen() {
-  const parts = Object.fromEntries(["checks", "loaded", "figures", "problems"].map((name) => [name, h("div")]));
+  const parts = Object.fromEntries(["checks", "loaded", "figures"].map((name) => [name, h("div")]));
+  // These are looked at longer, unfolded and copied from: they are drawn anew where they have changed.
+  const version = part((told) => told, loaded);
+  const recent = part((list) => list, problems);
   const jobs = jobList(null, undefined, EVERY_MS);
   let timer = null;
   let left = false;
 
   async function look() {
-    await Promise.all([shown(parts.checks, checks), shown(parts.figures, figures)]);
-    parts.problems.replaceChildren(problems());
+    await Promise.all([
+      shown(parts.checks, checks),
+      shown(parts.figures, figures),
+      shown(parts.loaded, async () => {
+        version.show(await call("GET", "/version"));
+        return version.element;
+      }),
+    ]);
+    recent.show([...recentProblems]);
     if (!left) timer = setTimeout(look, EVERY_MS);
   }
 
@@ -29,7 +40,7 @@ export function serviceScreen() {
         panel("Is it well?", parts.checks),
         panel("What is loaded", parts.loaded),
         panel("Figures since it started", parts.figures),
-        panel("Problems in this tab", parts.problems),
+        panel("Problems in this tab", recent.element),
       ),
       h("section", { class: "panel" }, jobs.element),
       panel(
@@ -47,9 +58,7 @@ export function serviceScreen() {
         ),
       ),
     ),
-    enter: async () => {
-      await Promise.all([shown(parts.loaded, loaded), look()]);
-    },
+    enter: look,
     leave: () => {
       left = true;
       clearTimeout(timer);
@@ -62,7 +71,8 @@ const panel = (title, ...content) => h("section", { class: "panel" }, h("h2", {}
 
 async function shown(element, make) {
   try {
-    element.replaceChildren(await make());
+    const made = await make();
+    if (element.firstChild !== made) element.replaceChildren(made);
   } catch (error) {
     element.replaceChildren(problemBox(error));
   }
@@ -102,8 +112,7 @@ async function checks() {
   );
 }
 
-async function loaded() {
-  const { libraries, ...version } = await call("GET", "/version");
+function loaded({ libraries, ...version }) {
   return h(
     "div",
     {},
