@@ -91,3 +91,13 @@ def test_what_it_costs_is_told(client: httpx.Client) -> None:
     assert 0 < told["timing_ms"]["compare"] < told["timing_ms"]["total"]
     assert re.fullmatch(r"[0-9a-f-]{36}", told["view"]["id"])
     assert np.isfinite(told["timing_ms"]["compare"])
+
+
+def test_the_second_place_of_a_map_is_not_taken_for_its_only_one(client: httpx.Client) -> None:
+    """However many views that has: nothing else tells what wrong answers get."""
+    for turn in range(12):
+        enroll(client, photo(scene("corridor 1").seen_from(dx=0.1 * turn, turn=turn)), map="hall", place="ground")
+    second = photo(scene("corridor 2"))
+    answer = client.post("/query", params={"map": "hall"}, content=second, headers=JPEG).json()
+    assert answer["status"] == "no_match"
+    assert enroll(client, second, map="hall", place="above")["warnings"] == []

@@ -7,7 +7,7 @@ from typing import Literal
 from schemas.comparisons import KnownView
 from schemas.errors import NotFound, RevisitError, Unavailable
 from schemas.records import Filters, ViewRecord
-from worker.method.places import SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
+from worker.method.places import ENOUGH_PLACES, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.service.comparing import Descriptions
 from worker.service.duplicates import NearDuplicates, named, told
 from worker.service.ports import Maps
@@ -93,7 +93,9 @@ def _look_alike(view: ViewRecord, found: RankedResults) -> Resemblance | None:
         index = {int(seq): i for i, seq in enumerate(found.ranking.seqs)}
         next_best = max((scored.score for scored in further), default=0.0)
         breadth = found.ranking.breadth([index[scored.seq] for scored in further], index[rival.seq])
-        others = found.maps[0].searched
+        others = found.ranking.others  # places besides the first view's
+        if others < ENOUGH_PLACES and not places.same(rival.seq, found.views[0].seq):
+            others -= 1  # the rival's own
         wins = wins or would_match(
             rival.score, next_best, breadth, others, ranking.precision, found.levels, found.calibration
         )

@@ -116,7 +116,7 @@ def would_match(
     breadth : float
         Of the lead.
     others : int
-        Views of other places.
+        Other places, or views of them where these are not known.
     precision : float
     levels : MapLevels
         What wrong answers get in the map.
