@@ -4,7 +4,7 @@
 //     place query today.jpg
 //
 // REVISIT_URL says where the service is (http://127.0.0.1:8000 otherwise), REVISIT_KEY is its key, if it asks for one,
-// REVISIT_MAP the map. Exit codes: 0 done, and for `query` the place is known; 1 it is not; 2 wrong use; 3 refused.
+// PLACE_MAP the map. Exit codes: 0 done, and for `query` the place is known; 1 it is not; 2 wrong use; 3 refused.
 
 #include <curl/curl.h>
 
@@ -75,14 +75,14 @@ json post(const std::string& path, const std::string& image, const Fields& field
 
 int enroll(const std::string& place, const std::vector<std::string>& images) {
   for (const std::string& image : images) {
-    const json answer = post("/enroll", image, {{"map", setting("REVISIT_MAP", "default")}, {"place", place}});
+    const json answer = post("/enroll", image, {{"map", setting("PLACE_MAP", "default")}, {"place", place}});
     std::cout << image << ": " << (answer.at("created").get<bool>() ? "enrolled" : "already there") << "\n";
   }
   return 0;
 }
 
 int query(const std::string& image) {
-  const json answer = post("/query", image, {{"map", setting("REVISIT_MAP", "default")}});
+  const json answer = post("/query", image, {{"map", setting("PLACE_MAP", "default")}});
   // `matched` is right at least 97 times of 100; act on nothing else.
   if (answer.at("status") != "matched") {
     std::cout << answer.at("status").get<std::string>() << ": " << answer.at("reason").at("remedy").get<std::string>()

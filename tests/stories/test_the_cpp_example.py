@@ -46,7 +46,7 @@ def test_places_are_enrolled_and_known_again(program: Path, tmp_path: Path) -> N
         )
 
     with RunningService(tmp_path / "data", REVISIT_ENCODER="compact") as service:
-        here = {"REVISIT_URL": service.url, "REVISIT_MAP": "museum"}
+        here = {"REVISIT_URL": service.url, "PLACE_MAP": "museum"}
         for name in NAMES:
             assert place("enroll", name, f"{name}.jpg", **here).stdout == f"{name}.jpg: enrolled\n"
         again = place("enroll", NAMES[0], f"{NAMES[0]}.jpg", **here)

@@ -32,7 +32,8 @@ def programs(page: str) -> list[str]:
 def ran(folder: Path, service: RunningService, *argv: str) -> str:
     """What a program prints that calls the service."""
     path = os.pathsep.join([str(ROOT / "client"), str(ROOT)])
-    env = {**os.environ, "REVISIT_URL": service.url, "PYTHONPATH": path}
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
+    env = {**clean, "REVISIT_URL": service.url, "PYTHONPATH": path}
     done = subprocess.run([sys.executable, *argv], cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
