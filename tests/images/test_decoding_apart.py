@@ -67,6 +67,18 @@ def test_an_image_is_the_same_decoded_apart(pool: DecoderPool, form: str) -> Non
     assert pool.thumbnail(data, 64) == thumbnail(data, 64)
 
 
+def test_the_smallest_limits_refuse_images_and_end_no_decoder() -> None:
+    tiny = DecoderPool(1, Limits(max_bytes=2_000, max_pixels=1_100), deadline_s=20)
+    tiny.start()
+    try:
+        with pytest.raises(BadImage, match="at most 0.0011"):
+            tiny.decode(encoded(np.zeros((35, 40, 3), np.uint8), "png"))
+        assert tiny.decode(encoded(np.zeros((32, 32, 3), np.uint8), "png")).pixels.shape == (32, 32, 3)
+        assert [process.starts for process in tiny.processes] == [1]
+    finally:
+        tiny.close()
+
+
 def test_what_exif_says_is_the_same_apart(pool: DecoderPool) -> None:
     exif = PilImage.Exif()
     exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 30.0), 16: "T", 17: 361.0})

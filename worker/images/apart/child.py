@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> None:
     limits = codec.Limits(max_bytes, max_pixels)
     source, target = mapped(given), mapped(made)
     cv2.setNumThreads(1)
-    _warm_up(limits)
+    _warm_up()
     restrict(max_pixels)
     with socket.socket(fileno=number) as connection:
         connection.sendall(READY)
@@ -79,9 +79,9 @@ def _answer(request: Request, data: bytes, target: Any, limits: codec.Limits) ->
         return {"error": "BadImage", "code": "undecodable-picture", "detail": detail}
 
 
-def _warm_up(limits: codec.Limits) -> None:
+def _warm_up() -> None:
     """Import everything that decoding imports late, before opening files is forbidden."""
-    pixels = np.zeros((32, 32, 3), np.uint8)
+    limits, pixels = codec.Limits(), np.zeros((32, 32, 3), np.uint8)
     for form in _FORMATS:
         for mode in ("RGB", "L"):
             out = io.BytesIO()
