@@ -267,8 +267,10 @@ def build(
             describers=describers, catalogue=catalogue, comparer=comparer, loop=loop, settlements=settlements,
             attendance=attendance, bell=bell,
             services=_services(
-                settings, encoder, store, scheduler, describers, catalogue, selecting, decoder, product, settlements,
-                default_recipe, bell, attendance, snapshots, shadows, blurring, enrolment, duplicates,
+                settings=settings, encoder=encoder, store=store, scheduler=scheduler, describers=describers,
+                catalogue=catalogue, selecting=selecting, decoder=decoder, product=product, settlements=settlements,
+                default_recipe=default_recipe, bell=bell, attendance=attendance, snapshots=snapshots, shadows=shadows,
+                blurring=blurring, enrolment=enrolment, duplicates=duplicates,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -282,6 +284,7 @@ def build(
 
 
 def _services(
+    *,
     settings: Settings,
     encoder: Encoder,
     store: SqlStore,
