@@ -104,6 +104,18 @@ def test_numbers_of_frames_are_no_seconds() -> None:
     assert [pose.x for pose in poses_of(files, counted, {}).values()] == list(range(50))
 
 
+def test_other_images_beside_frames_make_no_seconds_of_their_numbers() -> None:
+    """A plan among the frames, or the second camera's: frame 4 would lie where frame 40 was taken."""
+    poses = [Pose(number, 0, 0, None, number / 10) for number in range(50)]
+    files = [f"{number:06}.png" for number in range(50)]
+
+    with pytest.raises(ValueError, match=r"such as 000049[.]png, are no seconds of it"):
+        poses_of([*files, "plan.png"], poses, {})
+
+    walked = [Pose(number, 0, 0, None, float(number)) for number in range(2000)]
+    assert poses_of(["000012_10.png", "000013_10.png"], walked, {}) == {}  # not where 1210 s and 1310 s were taken
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -174,21 +174,27 @@ def _time(pose: Pose) -> float:
 
 
 def _check_seconds(named: Sequence[str], moments: Mapping[str, float | None], ordered: Sequence[Pose]) -> None:
-    """Raise where the names of files count frames: taken for seconds, some images would lie where others were taken."""
-    counted = [moments[file] or 0.0 for file in named if PurePosixPath(file).stem.isdecimal()]
+    """Raise where the names of files count frames: taken for seconds, some images would lie where others were taken.
+
+    Names that are no numbers say nothing of the others, as that of a plan that lies beside the frames.
+    """
+    numbers = [file for file in named if moments[file] is not None]
+    counted = [moments[file] or 0.0 for file in numbers if PurePosixPath(file).stem.isdecimal()]
     first, last = _time(ordered[0]), _time(ordered[-1])
     inside = sum(first - TOLERANCE_S <= second <= last + TOLERANCE_S for second in counted)
-    if len(counted) == len(named) and max(counted, default=math.inf) < LEAST_UNIX_S and 4 * inside < 3 * len(counted):
+    if len(counted) == len(numbers) and max(counted, default=math.inf) < LEAST_UNIX_S and 4 * inside < 3 * len(counted):
         raise ValueError(
-            f"the names of images, such as {named[-1]}, are no seconds of it ({first:g} to {last:g} s); list the time "
-            "of each image in rgb.txt (time file)"
+            f"the names of images, such as {numbers[-1]}, are no seconds of it ({first:g} to {last:g} s); list the "
+            "time of each image in rgb.txt (time file)"
         )
 
 
 def _time_of(file: str, times: Mapping[str, float]) -> float | None:
-    time = listed(file, times)
+    time, stem = listed(file, times), PurePosixPath(file).stem
+    if time is None and "_" in stem:  # 12_10: of two cameras, or of another frame; Python reads 1210
+        return None
     try:
-        return float(PurePosixPath(file).stem) if time is None else time
+        return float(stem) if time is None else time
     except ValueError:
         return None
 
