@@ -166,7 +166,7 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
     for path in paths:
         known = dict(of_all)
         if arguments.place_from_folder:
-            known["place"] = path.resolve().parent.name
+            known["place"] = images.absolute(path).parent.name
         listed = None if positions is None else positions.of(path)
         if arguments.exif:
             seen = of_exif[path]

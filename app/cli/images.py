@@ -2,6 +2,7 @@
 
 import glob
 import logging
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -57,6 +58,14 @@ def found(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Pa
             wrong_use(f"{text}: no images there ({', '.join(sorted(SUFFIXES))})")
         images |= dict.fromkeys(inside)
     return list(images)
+
+
+def absolute(path: Path) -> Path:
+    """A path with all its folders, by the names that were given: links are not followed.
+
+    Files that git-annex or DVC keep are links to files of other names.
+    """
+    return Path(os.path.abspath(path))
 
 
 def _in_order(path: Path) -> list[tuple[object, ...]]:
@@ -126,7 +135,7 @@ class Positions:
 
     def of(self, image: Path) -> Known | None:
         """The attributes of an image; None without a row."""
-        row = self._manifest.of(image.resolve().as_posix())
+        row = self._manifest.of(absolute(image).as_posix())
         if row is None:
             return None
         found = self._known[row.line]

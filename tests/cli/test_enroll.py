@@ -196,6 +196,21 @@ def test_what_is_skipped_is_named_with_its_reason(service: FakeService, folder: 
     assert len(json.loads(capsys.readouterr().out)["skipped"]) == 3
 
 
+def test_a_link_has_its_own_name_and_folder(tmp_path: Path, capsys: Out) -> None:
+    """As of git-annex and DVC, whose folders hold links: by the files behind them the positions were exchanged."""
+    (tmp_path / "store").mkdir()
+    (walk := tmp_path / "walks" / "hall").mkdir(parents=True)
+    for name, kept in (("1", "2"), ("2", "1")):
+        (tmp_path / "store" / f"{kept}.png").write_bytes(b"")
+        (walk / f"{name}.png").symlink_to(tmp_path / "store" / f"{kept}.png")
+    (positions := tmp_path / "poses.csv").write_text("file,x,y\n1.png,10,0\nhall/2.png,20,0\n")
+
+    assert main(["enroll", f"{walk}/../hall", "--place-from-folder", "--positions", str(positions), "--dry-run"]) == 0
+
+    told = [line.split("  ")[1:] for line in capsys.readouterr().out.splitlines()]
+    assert told[:2] == [["place=hall", "x=10.0", "y=0.0"], ["place=hall", "x=20.0", "y=0.0"]]
+
+
 def test_a_position_and_metadata_for_all_and_a_dry_run(service: FakeService, folder: Path, capsys: Out) -> None:
     service.replies["POST /enroll"] = 201, answers.enrolled()
     argv = [
