@@ -72,9 +72,9 @@ def test_what_is_metadata_says_nothing_of_the_view() -> None:
     assert known.metadata == {"x": 3, "y": 4, "place": "crate", "time": "noon"}
 
 
-@pytest.mark.parametrize("written", ["20260301093000", "20260301093000123", "99999999999"])
+@pytest.mark.parametrize("written", ["20260301093000", "20260301093000123", "99999999999", "202603010930"])
 def test_a_date_without_signs_is_no_unix_time(written: str) -> None:
-    """It would be the year 2612."""
+    """It would be the year 2612, or without its seconds 1976."""
     (row,) = read_manifest("manifest.csv", f"file,time\na.jpg,{written}\n".encode()).rows
     with pytest.raises(ValueError, match=f"captured_at is {written}, which is no Unix time of today"):
         attributes(row, "manifest.csv")
@@ -114,6 +114,12 @@ def test_a_comma_that_may_be_either_is_not_guessed_at() -> None:
         assert attributes(row, "manifest.csv").position == Position(x=0.5, y=1.234)
     (row,) = read_manifest("manifest.csv", b'file,lat,lon\na.jpg,"50,123","14,456"\n').rows
     assert attributes(row, "manifest.csv").position == Position(lat=50.123, lon=14.456)
+
+
+def test_what_python_alone_takes_for_a_number_is_none() -> None:
+    (row,) = read_manifest("manifest.csv", b"file,x,y\na.jpg,12_5,1\n").rows
+    with pytest.raises(ValueError, match="line 2: x is '12_5', which is no number"):
+        attributes(row, "manifest.csv")
 
 
 def test_a_heading_of_next_to_nothing_below_0_is_0() -> None:

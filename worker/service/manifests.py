@@ -33,6 +33,7 @@ LONGEST_PLACE = 200
 
 _MEANT = {other: ours for ours, others in NAMES.items() for other in (ours, *others)}
 _UNIX = re.compile(r"\d{9,19}(\.\d+)?", re.ASCII)
+_MINUTE = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])[0-5]\d", re.ASCII)
 _COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
 _METRES = frozenset(("x", "y", "z", "alt"))
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)  # in a table with commas between its columns
@@ -173,7 +174,9 @@ def _number(column: str, value: object) -> float:
     text = str(value).strip()
     try:
         number = (
-            math.nan if isinstance(value, bool) else float(text.replace(",", ".") if _COMMA.fullmatch(text) else text)
+            math.nan
+            if isinstance(value, bool) or "_" in text  # Python alone reads 12_5 as 125
+            else float(text.replace(",", ".") if _COMMA.fullmatch(text) else text)
         )
     except ValueError:
         number = math.nan
@@ -195,7 +198,8 @@ def _moment(value: object) -> datetime:
         except ValueError as error:
             raise ValueError(f"{error}, or Unix time; it is {text[:40]!r}") from None
     whole = text.partition(".")[0]
-    if len(whole) in (11, 14, 17):  # as Unix time of after 2286: 20260301093000 is a date and a time without a zone
+    # As Unix time 20260301093000 would be after 2286, and 202603010930 in 1976: dates and times without a zone.
+    if len(whole) in (11, 14, 17) or _MINUTE.fullmatch(whole):
         raise ValueError(f"is {text}, which is no Unix time of today; write dates as 2026-03-01T09:30:00Z")
     unit = 10 ** (3 * max(0, min(3, (len(whole) - 9) // 3)))  # digits today: 10 s, 13 ms, 16 us, 19 ns
     try:
