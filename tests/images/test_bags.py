@@ -10,7 +10,7 @@ import cv2
 import pytest
 
 from schemas.errors import BadBody
-from tests.recorded_bags import at as standing, bag, fix, image, pose
+from tests.recorded_bags import at as standing, bag, fix, image, odometry, pose
 from tests.sample_images import photo
 from worker.images.apart import bag_child
 from worker.images.apart.bag import Bag
@@ -78,6 +78,30 @@ def test_a_topic_of_two_types_has_the_poses_of_the_first(tmp_path: Path) -> None
         assert (known["types"]["/pose"], len(known["poses"]["/pose"])) == ("geometry_msgs/msg/PoseStamped", 1)
         with closing(Bag(path, Limits(), "/camera/compressed", None)) as one:
             assert [row[1:3] for row in one.poses] == [[1, 2]]
+
+
+def test_where_a_robot_is_to_go_is_not_where_it_was(tmp_path: Path) -> None:
+    """`ros2 bag record -a` records the goals of RViz beside odometry."""
+    path = tmp_path / "upload"
+    path.write_bytes(bag([image(1, photo()), odometry(0.5, 1, 0), odometry(1.5, 2, 0), pose(1, 500, 0, "/goal_pose")]))
+    with closing(recording_of(Bag(path, Limits(), None, None))) as recording:
+        assert recording.items[0].attributes.position.x == 1.5
+    with closing(recording_of(Bag(path, Limits(), None, "/goal_pose"))) as recording:
+        assert recording.items[0].attributes.position.x == 500
+    path.write_bytes(bag([image(1, photo()), pose(1, 500, 0, "/robot/initialpose")]))
+    with closing(recording_of(Bag(path, Limits(), None, None))) as recording:
+        assert recording.items[0].attributes.position.x is None
+
+
+def test_a_topic_without_a_pose_that_can_be_used_is_not_chosen_and_is_told_of(tmp_path: Path) -> None:
+    path = tmp_path / "upload"
+    lost = pose(1, 1e300, 0)
+    path.write_bytes(bag([image(1, photo()), lost, odometry(1, 7, 0)]))
+    with closing(recording_of(Bag(path, Limits(), None, None))) as recording:
+        assert recording.items[0].attributes.position.x == 7
+    path.write_bytes(bag([image(1, photo()), fix(1, 50.0, 14.0, status=-1)]))
+    with closing(recording_of(Bag(path, Limits(), None, None))) as recording:
+        assert [note.detail for note in recording.notes] == ["no pose lies within 0.2 s of it; it has no position"]
 
 
 def test_encodings_that_are_not_read_are_named(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Recordings of ROS 2 in MCAP files: images and poses by topic, read in a process of its own."""
 
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,6 +18,10 @@ PoseRow = list[float | None]
 """Time in seconds, then x, y, z and heading, or latitude, longitude, altitude and None."""
 
 
+AIMS = frozenset({"goal_pose", "goal", "goal_update", "initialpose"})
+"""Names of topics of RViz and Nav2 whose poses say where the robot is to go, or where somebody takes it to be."""
+
+
 class Bag(ImageStream):
     """The images of one topic, as they were recorded, and poses.
 
@@ -26,7 +31,8 @@ class Bag(ImageStream):
     limits : Limits
         Of the size of an image.
     image_topic, pose_topic : str or None
-        None: the only one; of several topics with poses, the one of the best type by the order of `bag_child.POSES`.
+        None: the only one; of several topics with poses, the one of the best type by the order of `bag_child.POSES`,
+        if it has any, and none of `AIMS`.
     listing : Path or None
         As `kept` of `ImageStream.listed`.
 
@@ -35,6 +41,8 @@ class Bag(ImageStream):
     topic : str
     times_s : list of float
         When the images were taken, Unix time, in the order of the file.
+    walked : str or None
+        Topic of the poses.
     poses : list of PoseRow
     geographic : bool
         Whether the poses are latitudes and longitudes.
@@ -82,12 +90,18 @@ class Bag(ImageStream):
         super().__init__(child, path, self.topic, limits.max_bytes, limits.max_pixels)
         self.times_s: list[float] = images[self.topic]
         self.broken: str | None = known["broken"]
-        best = min((POSES.index(types[topic]) for topic in poses), default=0)
-        walked = pose_topic or (poses and _chosen("pose_topic", None, [t for t in poses if types[t] == POSES[best]]))
-        if walked and walked not in poses:
-            _chosen("pose_topic", walked, list(poses))
-        self.poses: list[PoseRow] = poses[walked] if walked else []
-        self.geographic = bool(walked) and types[walked] == "sensor_msgs/msg/NavSatFix"
+        self.walked = _walked(poses, types) if pose_topic is None else _chosen("pose_topic", pose_topic, list(poses))
+        self.poses: list[PoseRow] = [] if self.walked is None else poses[self.walked]
+        self.geographic = self.walked is not None and types[self.walked] == "sensor_msgs/msg/NavSatFix"
+
+
+def _walked(poses: Mapping[str, Sequence[PoseRow]], types: Mapping[str, str]) -> str | None:
+    """The topic that says where the robot was; None where none does. Raises BadBody where several will do."""
+    of_robot = [topic for topic in poses if topic.rpartition("/")[2] not in AIMS]
+    topics = [topic for topic in of_robot if poses[topic]] or of_robot
+    best = min((POSES.index(types[topic]) for topic in topics), default=0)
+    found = [topic for topic in topics if types[topic] == POSES[best]]
+    return _chosen("pose_topic", None, found) if found else None
 
 
 def _chosen(parameter: str, wanted: str | None, topics: list[str]) -> str:
