@@ -101,6 +101,20 @@ def test_the_depth_images_of_a_benchmark_are_no_views(tmp_path: Path) -> None:
         assert (len(recording.items), recording.left_out) == (2, 5)
 
 
+def test_what_is_left_out_is_not_told_of_as_enrolled(tmp_path: Path) -> None:
+    images = {f"{number}.jpg": photo(number) for number in range(5)}
+    rows = "".join(f"{number}.jpg,{1767225600 + number}\n" for number in range(4))
+    with opened(tmp_path / "a.zip", zipped({**images, "manifest.csv": "file,time\n" + rows})) as recording:
+        assert [note.detail for note in recording.notes] == [
+            "manifest.csv has no row for it; it is enrolled without position"
+        ]
+        thin(recording, ImportOptions(every_s=2))
+        assert [item.file for item in recording.items] == ["0.jpg", "2.jpg"]
+        assert [(note.file, note.detail) for note in recording.notes] == [
+            ("4.jpg", "has no time, by which `every` chooses; it was left out")
+        ]
+
+
 def test_a_manifest_that_names_none_of_the_images_is_refused(tmp_path: Path) -> None:
     """Of another machine's paths, say: all images would be enrolled, and none of them where it was taken."""
     images = {f"walk/{number}.jpg": photo(number) for number in range(3)}

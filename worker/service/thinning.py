@@ -15,6 +15,8 @@ SLACK = 1e-6
 def thin(recording: Recording, options: ImportOptions) -> list[int]:
     """Leave out items that are less than a step after the one before, and note those of which that cannot be told.
 
+    What was noted of items that are left out, that they are enrolled without position, is so no more.
+
     Returns
     -------
     list of int
@@ -25,11 +27,13 @@ def thin(recording: Recording, options: ImportOptions) -> list[int]:
     InvalidParameters
         It can be told of none.
     """
-    kept = list(range(len(recording.items)))
+    kept, notes = list(range(len(recording.items))), list[Note]()
     if options.every_s is not None:
-        kept = _apart(recording, "time", _timed, _seconds, options.every_s)
+        kept, notes = _apart(recording, "time", _timed, _seconds, options.every_s)
     elif options.every_m is not None:
-        kept = _apart(recording, "position", _placed, _metres, options.every_m)
+        kept, notes = _apart(recording, "position", _placed, _metres, options.every_m)
+    left = {item.file for item in recording.items} - {recording.items[at].file for at in kept}
+    recording.notes = [note for note in recording.notes if note.problem != "no-row" or note.file not in left] + notes
     recording.left_out += len(recording.items) - len(kept)
     recording.items = [recording.items[at] for at in kept]
     return kept
@@ -41,19 +45,20 @@ def _apart(
     known: Callable[[ViewAttributes], bool],
     between: Callable[[ViewAttributes, ViewAttributes], float],
     step: float,
-) -> list[int]:
+) -> tuple[list[int], list[Note]]:
     kept: list[int] = []
+    notes: list[Note] = []
     last: ViewAttributes | None = None
     for at, item in enumerate(recording.items):
         if not known(item.attributes):
             detail = f"has no {what}, by which `every` chooses; it was left out"
-            recording.notes.append(Note(item.file, "no-row", detail))
+            notes.append(Note(item.file, "no-row", detail))
         elif last is None or between(last, item.attributes) >= step * (1 - SLACK):
             kept.append(at)
             last = item.attributes
     if not kept:
         raise InvalidParameters.of("every", f"no image of the recording has a {what} in a manifest or trajectory")
-    return kept
+    return kept, notes
 
 
 def _timed(attributes: ViewAttributes) -> bool:
