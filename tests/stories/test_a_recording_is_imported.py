@@ -235,11 +235,12 @@ def test_a_deleted_map_takes_its_import_along(client: httpx.Client, service: Run
 
 def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) -> None:
     data, environment = tmp_path / "data", {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
+    dark: dict[str, bytes | str] = {f"walk/{i:04}.jpg": encoded(drawn(96, 96, i) // 16) for i in range(100)}
     job_id, killed = None, False
     while True:
         with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
             if job_id is None:
-                answer = client.post("/maps/walk/imports", content=zipped(photos(100, 96)), headers=ZIP)
+                answer = client.post("/maps/walk/imports", content=zipped(dark), headers=ZIP)
                 job_id = answer.json()["id"]
             before = client.get("/maps/walk").json()["views"]["ready"]
             while not killed and (now := client.get("/maps/walk").json()["views"]["ready"]) < min(before + 10, 100):
@@ -253,6 +254,7 @@ def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) 
             assert (job["state"], job["progress"]) == ("done", {"done": 100, "total": 100})
             report = job["result"]
             assert (report["enrolled"], report["already_there"], report["errors"]) == (100, 0, [])
+            assert report["poor"] == 100
             assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 100, "failed": 0}
             assert is_emptied(data / "imports")
             return

@@ -104,6 +104,17 @@ def test_an_import_counts_poor_images_or_leaves_them_out(
     assert [(one["file"], one["problem"]) for one in result["errors"]] == [("1.jpg", "poor-picture")] * counts[1]
 
 
+def test_only_what_an_import_enrols_counts_as_poor(client: httpx.Client) -> None:
+    """The same dark image twice, and one that is refused."""
+    client.post("/enroll?map=counted&place=hall", content=COVERED, headers=JPEG)
+    rows = "file,place\n2.jpg,roof\n"
+    files: dict[str, Any] = {"0.jpg": DARK, "1.jpg": DARK, "2.jpg": COVERED, "manifest.csv": rows}
+    answer = client.post("/maps/counted/imports", content=zipped(files), headers=ZIP)
+    result = ended(client, answer.json()["id"])["result"]
+    counts = [result[name] for name in ("enrolled", "already_there", "failed", "poor")]
+    assert counts == [1, 1, 1, 1]
+
+
 def crowd(share: float, seed: int) -> bytes:
     """A street of which cars cover some share, from below, in the colours that the encoder takes for labels."""
     pixels: Bytes2D = np.full((240, 320, 3), COLORS["building"], np.uint8)

@@ -169,8 +169,11 @@ class Importer:
 
     # what a run of a job does with one image
 
-    def read(self, claim: MapClaim, item: Item, exif: frozenset[str]) -> "_Read":
-        """An image, and its view in the map or else the decoded image; raises ValueError, RevisitError."""
+    def read(self, claim: MapClaim, item: Item, exif: frozenset[str], began: datetime) -> "_Read":
+        """An image, and its view in the map or else the decoded image; raises ValueError, RevisitError.
+
+        What is wrong with an image is told too of those in the map since the job `began`, which may be its own.
+        """
         data = item.read()
         attributes = item.attributes
         if exif:
@@ -178,10 +181,10 @@ class Importer:
             attributes = completed(attributes, {name: value for name, value in known.items() if name in exif})
         attributes = turned(attributes, item.turn)
         view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)
-        if view is not None:
+        if view is not None and view.enrolled_at < began:
             return _Read(data, attributes, view, None, None)
         image = self._decode(data)
-        return _Read(data, attributes, None, image, self._look_for_problem(image))
+        return _Read(data, attributes, view, None if view else image, self._look_for_problem(image))
 
     def submit(
         self, claim: MapClaim, data: bytes, attributes: ViewAttributes, image: Image, refuse_poor: bool
@@ -273,7 +276,7 @@ class _Run:
     def _reading(self, items: list[Item], threads: ThreadPoolExecutor) -> "Iterator[tuple[Item, Future[Any]]]":
         ahead: deque[tuple[Item, Future[Any]]] = deque()
         for item in items:
-            ahead.append((item, threads.submit(self._importer.read, self._claim, item, self._exif)))
+            ahead.append((item, threads.submit(self._importer.read, self._claim, item, self._exif, self._began)))
             if len(ahead) >= DECODED_AHEAD:
                 yield ahead.popleft()
         yield from ahead
@@ -285,11 +288,9 @@ class _Run:
         try:
             read = reading.result()
             view, created = read.view, False
-            if read.problem is not None:
-                if self._refuse_poor:
-                    raise PoorImage(read.problem)
-                self._report.poor += 1
             if view is None:
+                if read.problem is not None and self._refuse_poor:
+                    raise PoorImage(read.problem)
                 one = self._importer.submit(self._claim, read.data, read.attributes, read.image, self._refuse_poor)
                 view, created = one.view, one.created
         except (*STORAGE_ERRORS, LeaseLost, EncoderAway):
@@ -307,7 +308,8 @@ class _Run:
         earlier = not created and view.enrolled_at >= self._began and self._importer.is_imported(view.id)
         own = (created or earlier) and view.id not in self._seen
         self._seen.add(view.id)
-        self._describing.append(_Describing(item.file, view.id, own, 3 * view.image.width * view.image.height))
+        size = 3 * view.image.width * view.image.height
+        self._describing.append(_Describing(item.file, view.id, own, size, read.problem is not None))
 
     def _is_ahead(self) -> bool:
         """Whether enough is stored: the encoder is to catch up first."""
@@ -315,7 +317,7 @@ class _Run:
         return count >= AHEAD or (count >= LEAST_AHEAD and sum(one.size for one in self._describing) > AHEAD_BYTES)
 
     def _await_oldest(self) -> None:
-        file, view_id, own, _ = self._describing[0]
+        file, view_id, own, _, poor = self._describing[0]
         view = self._importer.settled(view_id, TOLD_EVERY_S)
         self._tell()
         if view is not None and view.state == "pending":
@@ -332,6 +334,7 @@ class _Run:
             self._fail(file, code, detail)
         elif own:
             self._report.enrolled += 1
+            self._report.poor += poor
         else:
             self._report.already_there += 1
 
@@ -349,17 +352,21 @@ class _Run:
 
 
 class _Describing(NamedTuple):
-    """A view that is being described: whether this import enrolled it, and bytes of its pixels."""
+    """A view that is being described: whether this import enrolled it, bytes of its pixels, and whether it is poor."""
 
     file: str
     view_id: str
     own: bool
     size: int
+    poor: bool
 
 
 @dataclass(frozen=True)
 class _Read:
-    """An image that was read, with its view in the map or else decoded; and what is wrong with it, in words."""
+    """An image that was read, with its view in the map or else decoded; and what is wrong with it, in words.
+
+    Of a view that was there before the job nothing is looked for.
+    """
 
     data: bytes
     attributes: ViewAttributes
