@@ -347,7 +347,7 @@ def _services(
     )  # fmt: skip
     imports = ImportService(
         uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,
-        refuses_poor=store.maps.refuses_poor, wake=bell.ring_all,
+        refuses_poor=store.maps.refuses_poor, wake=bell.ring_all, describer=searcher.describer,
     )  # fmt: skip
     return Services(
         enroll=enroll,

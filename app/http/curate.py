@@ -293,9 +293,12 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
         Raises
         ------
+        SetupError
+            The map was described by another encoder than the running one; nothing is received.
         BadBody, BodyTooLarge, DiskFull, StorageFailed
             Nothing of it is left.
         """
+        await asyncio.to_thread(self._imports.admit, name)
         upload = await asyncio.to_thread(self._imports.receive, announced)
         try:
             pieces = bytearray()

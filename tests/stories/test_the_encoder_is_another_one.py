@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 
 from scenes import scene
-from tests.stories.importing import ended
+from tests.stories.importing import ZIP, ended, photos, zipped
 from tests.stories.photos import photo
 from tests.stories.running import RunningService
 
@@ -49,6 +49,8 @@ def test_a_map_is_carried_over_to_another_encoder_and_back(tmp_path: Path) -> No
         for wait in ("true", "false"):
             sent = client.post(f"/enroll?wait={wait}", content=photo(scene("quay")), headers=JPEG)
             assert (sent.status_code, sent.json()["type"]) == refused[0]
+        recording = client.post("/maps/default/imports", content=zipped(photos(2)), headers=ZIP)
+        assert (recording.status_code, recording.json()["type"]) == refused[0]
         assert client.get("/maps/default").json()["views"] == {"pending": 0, "ready": len(PLACES), "failed": 0}
         describe_anew(client)
         new = client.post("/enroll?place=quay", content=photo(scene("quay")), headers=JPEG)

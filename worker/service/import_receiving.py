@@ -1,11 +1,13 @@
 """Receive recordings: check an upload, keep it, and queue its import."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 
 from uuid6 import uuid7
 
+from schemas.errors import NotFound
 from schemas.imports import ImportOptions
 from schemas.recipe import MapRecipe
 from schemas.records import JobRecord
@@ -29,6 +31,8 @@ class ImportService:
         Whether a map refuses poor images.
     wake : function
         Called when a job was queued.
+    describer : function
+        Raises SetupError where the running encoder cannot describe the views of a map, NotFound where there is none.
     """
 
     def __init__(
@@ -40,9 +44,16 @@ class ImportService:
         default_recipe: MapRecipe,
         refuses_poor: Callable[[str], bool],
         wake: Callable[[], None],
+        describer: Callable[[str], object] = lambda name: None,
     ) -> None:
         self._uploads, self._jobs, self._limits = uploads, jobs, limits
         self._default_recipe, self._refuses_poor, self._wake = default_recipe, refuses_poor, wake
+        self._describer = describer
+
+    def admit(self, name: str) -> None:
+        """Raise SetupError where the images of a recording could not be described: the map is another encoder's."""
+        with suppress(NotFound):  # it is made, by the running encoder
+            self._describer(name)
 
     def receive(self, announced: int) -> Upload:
         """Begin to receive a recording of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""

@@ -31,7 +31,7 @@ _FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip 
     status_code=202,
     response_model=Job,
     openapi_extra={"requestBody": {"required": True, "content": dict.fromkeys(TYPES, _FILE)}},
-    responses={202: _STARTED, **refusals("malformed-body", "body-too-large", "disk-full")},
+    responses={202: _STARTED, **refusals("malformed-body", "conflict", "body-too-large", "disk-full")},
 )
 async def import_recording(
     name: MapName, params: Annotated[ImportParameters, Query()], request: Request, curator: Curates
