@@ -101,6 +101,18 @@ def test_the_depth_images_of_a_benchmark_are_no_views(tmp_path: Path) -> None:
         assert (len(recording.items), recording.left_out) == (2, 5)
 
 
+def test_times_are_those_of_the_list_beside_the_images(tmp_path: Path) -> None:
+    """Two cameras, say, each with a list of its own that names the same files."""
+    files: dict[str, bytes | str] = {f"{side}/rgb/0.png": photo(n, "png") for n, side in enumerate(("left", "right"))}
+    files |= {"left/rgb.txt": "5 rgb/0.png\n", "right/rgb.txt": "9 rgb/0.png\n"}
+    files["poses.txt"] = "5 5 0 0 0 0 0 1\n9 9 0 0 0 0 0 1\n"
+    with opened(tmp_path / "a.zip", zipped(files)) as recording:
+        assert [item.attributes.position.x for item in recording.items] == [5, 9]
+    lists = {"rgb.txt": "5 rgb/0.png\n9 rgb/0.png\n", "right/rgb.txt": ""}
+    with pytest.raises(BadBody, match=r"rgb.txt, line 2: rgb/0.png has two times, 5 and 9 s"):
+        opened(tmp_path / "a.zip", zipped({**files, **lists}))
+
+
 def test_what_is_left_out_is_not_told_of_as_enrolled(tmp_path: Path) -> None:
     images = {f"{number}.jpg": photo(number) for number in range(5)}
     rows = "".join(f"{number}.jpg,{1767225600 + number}\n" for number in range(4))

@@ -9,7 +9,7 @@ from typing import Self
 from schemas.errors import BadBody
 from schemas.records import ViewAttributes
 from schemas.settings import MEGA, Settings
-from schemas.values import file_name
+from schemas.values import composed, file_name
 from worker.images import codec
 from worker.service import trajectories
 from worker.service.archives import MOST_MANIFEST_BYTES, Archive, Entry
@@ -193,11 +193,18 @@ def _trajectory(archive: Archive) -> tuple[set[str], dict[str, Pose] | None, set
 
 
 def _listed(archive: Archive, lists: Sequence[Entry]) -> dict[str, float]:
-    """Times of all files that some lists have; raises ValueError."""
-    times: dict[str, float] = {}
+    """Times by the ends of files' paths; raises ValueError.
+
+    A list is about the files beside it, and about others where no list says otherwise.
+    """
+    beside: dict[str, float] = {}
+    others: dict[str, set[float]] = {}
     for entry in lists:
-        times |= trajectories.read_list(entry.name, archive.read(entry, MOST_MANIFEST_BYTES))
-    return times
+        folder = composed(entry.name.replace("\\", "/")).rpartition("/")[0]
+        for file, time in trajectories.read_list(entry.name, archive.read(entry, MOST_MANIFEST_BYTES)).items():
+            beside[f"{folder}/{file}" if folder else file] = time
+            others.setdefault(file, set()).add(time)
+    return {file: times.pop() for file, times in others.items() if len(times) == 1} | beside
 
 
 def _add_walked(

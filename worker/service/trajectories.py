@@ -114,14 +114,16 @@ def read_poses(name: str, data: bytes) -> list[Pose]:
 
 
 def read_list(name: str, data: bytes) -> dict[str, float]:
-    """Times in seconds by file; raises ValueError."""
-    times = {}
+    """Times in seconds by file; raises ValueError, also where a file has two."""
+    times: dict[str, float] = {}
     for number, words in _lines(name, data):
         try:
             time, file = float(words[0]), words[1]
         except (IndexError, ValueError):
             raise ValueError(f"{name}, line {number}: needs a time and a file") from None
-        times[composed(file.replace("\\", "/").removeprefix("./"))] = time
+        file = composed(file.replace("\\", "/").removeprefix("./"))
+        if times.setdefault(file, time) != time:
+            raise ValueError(f"{name}, line {number}: {file} has two times, {times[file]:g} and {time:g} s")
     return times
 
 
