@@ -66,6 +66,14 @@ def test_a_name_that_leads_out_is_found_however_it_is_written(tmp_path: Path) ->
         Archive(path, 10_000_000)
 
 
+def test_the_time_of_day_in_a_name_is_no_drive(tmp_path: Path) -> None:
+    with opened(tmp_path / "a.zip", zipped({"9:30.jpg": photo(1), "10:30.jpg": photo(2)})) as recording:
+        assert [item.file for item in recording.items] == ["9:30.jpg", "10:30.jpg"]
+    for name in ("c:/photos/a.jpg", "C:a.jpg", "C:\\a.jpg"):
+        with pytest.raises(BadBody, match="is absolute"):
+            opened(tmp_path / "a.zip", zipped({name: photo(1)}))
+
+
 def test_images_are_in_the_order_in_which_they_were_counted(tmp_path: Path) -> None:
     names = ["left/9.jpg", "left/10.jpg", "right/1.jpg", "right/1.25.jpg", "right/1.5.jpg", "right/11.jpg"]
     (path := tmp_path / "a.zip").write_bytes(zipped({name: photo(1) for name in reversed(names)}))

@@ -1,6 +1,7 @@
 """Zip archives of recordings, from strangers: checked by their directory before anything of them is unpacked."""
 
 import os
+import re
 import stat
 import struct
 import zipfile
@@ -25,6 +26,7 @@ FREE_BYTES = 10_000_000
 """Bytes that may be unpacked whatever is the ratio."""
 LONGEST_NAME = 1024
 
+_DRIVE = re.compile("[A-Za-z]:")  # 9:30.jpg has none
 _END = struct.Struct("<4s4H2LH")
 _END_64 = struct.Struct("<4sQ2H2L4Q")
 _UTF_8 = 0x800  # flag: the name is in UTF-8 (APPNOTE.TXT, 4.4.4)
@@ -147,7 +149,7 @@ def _checked_name(info: zipfile.ZipInfo) -> str:
     if "\0" in info.orig_filename or any(ord(letter) < 32 or 0xD800 <= ord(letter) <= 0xDFFF for letter in name):
         raise _refused(f"the name {name[:80]!r} has control characters")
     path = name.replace("\\", "/")
-    if path.startswith("/") or path[1:2] == ":":
+    if path.startswith("/") or _DRIVE.match(path):
         raise _refused(f"the name {name[:80]!r} is absolute")
     if ".." in path.split("/"):
         raise _refused(f"the name {name[:80]!r} leads out of the archive")
