@@ -197,14 +197,14 @@ def _listed(archive: Archive, lists: Sequence[Entry]) -> dict[str, float]:
 
     A list is about the files beside it, and about others where no list says otherwise.
     """
-    beside: dict[str, float] = {}
+    of_folder: dict[str, float] = {}
     others: dict[str, set[float]] = {}
     for entry in lists:
         folder = composed(entry.name.replace("\\", "/")).rpartition("/")[0]
         for file, time in trajectories.read_list(entry.name, archive.read(entry, MOST_MANIFEST_BYTES)).items():
-            beside[f"{folder}/{file}" if folder else file] = time
+            of_folder[f"{folder}/{file}" if folder else file] = time
             others.setdefault(file, set()).add(time)
-    return {file: times.pop() for file, times in others.items() if len(times) == 1} | beside
+    return {file: times.pop() for file, times in others.items() if len(times) == 1} | of_folder
 
 
 def _add_walked(
