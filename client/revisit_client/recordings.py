@@ -102,12 +102,13 @@ def folder_as_zip(folder: Path, manifest: Path | None = None) -> Iterator[bytes]
     if not any(path.suffix.lower() in SUFFIXES for path, _ in files):
         raise ValueError(f"{folder} holds no image ({', '.join(sorted(SUFFIXES))})")
     if manifest is not None:
-        there = [path for path, name in files if name.rpartition("/")[2].lower() in MANIFESTS and path != manifest]
+        files = [(path, name) for path, name in files if path.resolve() != manifest.resolve()]
+        there = [path for path, name in files if name.rpartition("/")[2].lower() in MANIFESTS]
         if there:
             raise ValueError(f"{there[0]} is a manifest, and {manifest} was given; one of them has to go")
         suffix = manifest.suffix.lower()
         name = f"manifest{suffix}" if f"manifest{suffix}" in MANIFESTS else "manifest.csv"
-        files = [(path, inside) for path, inside in files if path != manifest] + [(manifest, name)]
+        files = [*files, (manifest, name)]
     return _zipped(files)
 
 

@@ -93,6 +93,19 @@ def test_a_manifest_from_elsewhere_goes_along(service: FakeService, walk: Path, 
     assert json.loads(capsys.readouterr().out)["result"]["enrolled"] == 2
 
 
+def test_the_folders_own_manifest_may_be_named_in_any_way(
+    service: FakeService, walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (walk / "manifest.csv").write_text("file,x,y\n2.jpg,1,2\n")
+    replying(service)
+    monkeypatch.chdir(walk.parent)
+
+    assert main(["import", str(walk), "--map", answers.job()["map"], "--manifest", f"{walk.name}/manifest.csv"]) == 0
+
+    with packed(service) as archive:
+        assert archive.namelist().count("manifest.csv") == 1
+
+
 def test_an_archive_is_sent_as_it_is_and_need_not_be_waited_for(
     service: FakeService, tmp_path: Path, capsys: Out
 ) -> None:
