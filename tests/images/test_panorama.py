@@ -1,11 +1,16 @@
 """Views of a panorama: each looks where it should, upright, and nothing is torn where the edges meet."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from tests.sample_images import drawn
+from schemas.records import ViewAttributes
+from tests.sample_images import drawn, encoded
 from worker.images.codec import Limits, decode
 from worker.images.panorama import DIRECTIONS, seen, turns, views
+from worker.service.panoramas import Panoramas
+from worker.service.recordings import Item
 
 COLUMNS, ROWS = 1024, 512
 
@@ -61,3 +66,13 @@ def test_neighbours_share_half_of_what_they_see_and_the_bytes_are_always_the_sam
 def test_what_is_no_panorama_is_refused(shape: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="twice as wide as high"):
         views(np.zeros((*shape, 3), np.uint8))
+
+
+def test_two_panoramas_of_one_name_have_views_of_their_own() -> None:
+    """Images of a ROS 2 recording are named by their time in milliseconds, and a driver may repeat a stamp."""
+    spheres = {n: encoded(drawn(256, 128, n), "png") for n in range(2)}
+    items = [Item("/sphere 1767225600.000", ViewAttributes(), partial(spheres.__getitem__, n)) for n in range(2)]
+
+    read = [item.read() for item in Panoramas(lambda data: decode(data, Limits())).split(items)]
+
+    assert read == [view for n in range(2) for view in views(decode(spheres[n], Limits()).pixels)]

@@ -25,7 +25,7 @@ class Panoramas:
 
     def __init__(self, decode: Callable[[bytes], Image]) -> None:
         self._decode = decode
-        self._views: OrderedDict[str, list[bytes]] = OrderedDict()
+        self._views: OrderedDict[int, list[bytes]] = OrderedDict()  # by the place of the panorama in the recording
         self._lock = threading.Lock()
 
     def split(self, items: Sequence[Item]) -> list[Item]:
@@ -34,18 +34,18 @@ class Panoramas:
             replace(
                 item,
                 file=f"{item.file}#{turn:03.0f}",
-                read=partial(self._view, item, number),
+                read=partial(self._view, at, item, number),
                 original=item.read,
                 turn=turn,
             )
-            for item in items
+            for at, item in enumerate(items)
             for number, turn in enumerate(panorama.turns())
         ]
 
-    def _view(self, item: Item, number: int) -> bytes:
+    def _view(self, at: int, item: Item, number: int) -> bytes:
         with self._lock:  # the views of one panorama are read at once, and are to be made once
-            if item.file not in self._views:
-                self._views[item.file] = panorama.views(self._decode(item.read()).pixels)
+            if at not in self._views:
+                self._views[at] = panorama.views(self._decode(item.read()).pixels)
                 while len(self._views) > KEPT:
                     self._views.popitem(last=False)
-            return self._views[item.file][number]
+            return self._views[at][number]
