@@ -71,11 +71,15 @@ class _WithContext(logging.Filter):
 
 
 def configure(form: Literal["text", "json"], level: str = "info") -> None:
-    """Send the lines of all loggers to stderr, as text or JSON, from a level on."""
+    """Send the lines of all loggers to stderr, as text or JSON, from a level on; of libraries none of the level debug.
+
+    Those may say whatever was sent: Pillow writes each field of a photo's EXIF.
+    """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
     handler.addFilter(_WithContext())
-    logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
+    logging.basicConfig(level=max(getattr(logging, level.upper()), logging.INFO), handlers=[handler], force=True)
+    logging.getLogger("revisit").setLevel(level.upper())
     for talkative in ("alembic", "boto3", "botocore", "faiss", "httpx"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
     # The command line itself reports starting and stopping.

@@ -1,5 +1,6 @@
 """A caller reports the id of an error; the operator finds everything that the request caused."""
 
+import io
 import json
 import sqlite3
 from pathlib import Path
@@ -7,8 +8,9 @@ from typing import Any
 
 import httpx
 import pytest
+from PIL import Image
 
-from tests.sample_images import photo
+from tests.sample_images import exif_of_a_phone, photo
 from tests.stories.running import RunningService
 from tests.waiting import until
 
@@ -51,6 +53,21 @@ def test_nothing_private_is_in_the_log_and_the_view_of_a_request_is(tmp_path: Pa
     assert (access["slow"], access["level"]) == (True, "warning")
     text = "".join(service.output)
     for secret in ("secret", "48.137", "11.575", "anna", "JFIF"):
+        assert secret not in text
+
+
+def test_what_a_photo_says_of_who_took_it_is_in_no_line_however_much_is_logged(tmp_path: Path) -> None:
+    exif, taken = exif_of_a_phone(), io.BytesIO()
+    exif[0x010E], exif[0x013B] = "the garden of anna", "bertha"  # ImageDescription, Artist
+    Image.open(io.BytesIO(photo())).save(taken, "JPEG", exif=exif)
+    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_LOG_LEVEL="debug", REVISIT_DECODERS="0") as service:
+        address = f"{service.url}/enroll?exif=true"
+        enrolled = httpx.post(address, content=taken.getvalue(), headers=JPEG, timeout=60).json()
+        stripped = httpx.get(service.url + enrolled["view"]["links"]["image"], timeout=60)
+        assert stripped.status_code == 200
+    text = "".join(service.output)
+    assert '"GET /views/' in text
+    for secret in ("garden", "bertha", "2026:05:04"):
         assert secret not in text
 
 
