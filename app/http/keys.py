@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from app.http.notes import note
 from app.http.rate_limits import Buckets, client_of
 from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS, Demand, demand
@@ -118,6 +119,7 @@ class KeyGate:
             # Counted only here: whoever sends a right key is never refused for what its neighbours send.
             wait = 0 if client is None else self._failures.take(client, FAILURES, 1)
             if wait:
+                note(limit="guesses")
                 raise Busy(
                     f"too many requests without a valid key come from your address; wait {wait} s", wait
                 ) from None
