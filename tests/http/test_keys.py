@@ -303,16 +303,6 @@ def test_guessing_is_slowed_down_and_locks_out_nobody_with_a_key(locked: Locked)
     assert locked.call("GET", "/maps", locked.admin).status_code == 200
 
 
-def test_guessing_is_counted_as_a_rate_and_not_as_a_full_queue(locked: Locked) -> None:
-    for _ in range(FAILURES + 5):
-        locked.call("GET", "/maps", "guess")
-
-    told = locked.call("GET", "/metrics", locked.admin).text
-    assert [line for line in told.splitlines() if line.startswith("revisit_rejected_total")] == [
-        'revisit_rejected_total{reason="rate"} 5.0'
-    ]
-
-
 def test_a_key_is_in_no_answer_and_in_no_log(locked: Locked, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
     wrong, expired = new_key()[1], locked.keys.expired()

@@ -1,4 +1,4 @@
-"""Keys that cannot be read, and keys that are lost while an answer lasts."""
+"""Keys that cannot be read, that are guessed, or that are lost while an answer lasts."""
 
 import threading
 import time
@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
+from app.http.keys import FAILURES
 from schemas.keys import KeyRecord
 from tests.http.fakes import FakeRuntime
 from tests.keys_in_memory import KeyMaker
@@ -82,3 +83,15 @@ def test_events_end_once_their_key_does_not_do_any_more(change: str) -> None:
         assert answer.status_code == 200
         assert answer.text.count("event: job") == 1
         assert client.get("/jobs/j9/events", headers=headers).status_code == 401
+
+
+def test_guesses_that_are_refused_are_counted_as_a_rate_and_not_as_a_full_queue() -> None:
+    keys = KeyMaker()
+    operator = keys.make("operator", "admin")
+    with CheckedClient(FakeRuntime(keys=keys.service).app()) as client:
+        statuses = [client.get("/maps", headers={"x-api-key": "guess"}).status_code for _ in range(FAILURES + 5)]
+        told = client.get("/metrics", headers={"x-api-key": operator}).text
+    assert statuses == [401] * FAILURES + [429] * 5
+    assert [line for line in told.splitlines() if line.startswith("revisit_rejected_total")] == [
+        'revisit_rejected_total{reason="rate"} 5.0'
+    ]
