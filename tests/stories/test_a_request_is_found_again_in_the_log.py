@@ -71,6 +71,21 @@ def test_what_a_photo_says_of_who_took_it_is_in_no_line_however_much_is_logged(t
         assert secret not in text
 
 
+def test_a_statement_that_fails_is_logged_without_what_was_sent(tmp_path: Path) -> None:
+    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_COMPARE="false") as service:
+        database = sqlite3.connect(tmp_path / "revisit.db")
+        database.execute("CREATE TRIGGER fails BEFORE INSERT ON views BEGIN SELECT RAISE(ABORT, 'for no reason'); END")
+        database.commit()
+        database.close()
+        said = "place=annas+garden&lat=48.137222&lon=11.575555&metadata=%7B%22who%22%3A%22bertha%22%7D"
+        answer = httpx.post(f"{service.url}/enroll?{said}", content=photo(), headers=JPEG, timeout=60)
+        assert answer.status_code == 500, answer.text
+    assert [line for line in lines(service) if "for no reason" in line.get("traceback", "")]
+    text = "".join(service.output)
+    for secret in ("garden", "48.137", "11.575", "bertha"):
+        assert secret not in text
+
+
 def test_only_what_is_slow_or_fails_is_logged_on_request(tmp_path: Path) -> None:
     with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_LOG_LEVEL="warning") as service:
         assert httpx.get(f"{service.url}/maps", timeout=60).status_code == 200

@@ -104,7 +104,7 @@ def _postgresql(url: sa.URL) -> sa.Engine:
         name: value for name, value in {**SERVER_GONE, "client_encoding": "utf8"}.items() if name not in url.query
     }
     url = url.set(drivername="postgresql+psycopg")
-    engine = sa.create_engine(url, max_overflow=-1, pool_pre_ping=True, connect_args=patience)
+    engine = sa.create_engine(url, hide_parameters=True, max_overflow=-1, pool_pre_ping=True, connect_args=patience)
 
     @sa.event.listens_for(engine, "connect")
     def prepare(connection: Any, _: object) -> None:
@@ -140,7 +140,8 @@ def _session() -> str:
 
 def _sqlite(url: sa.URL) -> sa.Engine:
     # Each transaction takes a connection from the pool, so that no two threads share one.
-    engine = sa.create_engine(url, poolclass=QueuePool, max_overflow=-1, connect_args={"timeout": BUSY_S})
+    patience = {"timeout": BUSY_S}
+    engine = sa.create_engine(url, hide_parameters=True, poolclass=QueuePool, max_overflow=-1, connect_args=patience)
 
     @sa.event.listens_for(engine, "connect")
     def prepare(connection: Any, _: object) -> None:
@@ -191,7 +192,7 @@ def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
             connection.execute("PRAGMA writable_schema=ON").close()
         return connection
 
-    return sa.create_engine("sqlite://", creator=connect, poolclass=NullPool)
+    return sa.create_engine("sqlite://", hide_parameters=True, creator=connect, poolclass=NullPool)
 
 
 def _has_log(path: Path) -> bool:
