@@ -104,6 +104,7 @@ class Calls(Part):
                 return
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(over))
+        self._database.stain()
 
     def telling(self, views: Collection[str]) -> Answers:
         """The answers that are kept and tell of some views, by their ids, which are about to be deleted."""

@@ -44,6 +44,7 @@ class Database:
         self.space: Space | None = None
         self.commits = Commits()
         self.trouble: str | None = None  # why the last transaction that wrote could not be stored
+        self._stains, self._scrubbed = 1, 0  # the first is of what a crash left
 
     def open(self) -> sa.Connection:
         """A connection.
@@ -131,32 +132,52 @@ class Database:
                 return work(connection)
 
         try:
-            return again(self.commits, run)
+            freed = again(self.commits, run)
         except DiskFull:
             if self.space is None or not self.space.give_up():
                 raise
-        self._truncate_journal()
-        return run()
+            self._truncate_journal(TRUNCATE_PATIENCE_S)
+            freed = run()
+        self.stain()
+        return freed
+
+    def stain(self) -> None:
+        """Note that a transaction which was committed has deleted or replaced what is to be gone."""
+        self._stains += 1
+
+    def scrub(self, patience_s: float = TRUNCATE_PATIENCE_S) -> None:
+        """Empty SQLite's journal, where what was deleted or replaced still stands as it was.
+
+        Does nothing without a stain. Where others read for longer than `patience_s`, the stains stay for the next time.
+        """
+        stains = self._stains
+        if stains != self._scrubbed and self._truncate_journal(patience_s):
+            self._scrubbed = stains
 
     def tidy(self) -> None:
         """After deletions on a disk that is nearly full: give the journal's space back and make the reserve again."""
         if self.space is not None and self.space.low():
-            self._truncate_journal()
+            self._truncate_journal(TRUNCATE_PATIENCE_S)
             self.space.restore()
 
-    def _truncate_journal(self) -> None:
-        """Copy SQLite's journal into the database and give its space back, unless readers are in the way."""
+    def _truncate_journal(self, patience_s: float) -> bool:
+        """Copy SQLite's journal into the database and give its space back, unless readers are in the way.
+
+        Returns whether nothing is left in it.
+        """
         if not dialect.is_file(self.engine):
-            return
+            return True
         try:
             with (
                 self.engine.connect() as connection,
-                dialect.patient(connection, TRUNCATE_PATIENCE_S),
+                dialect.patient(connection, patience_s),
                 dialect.raw_cursor(connection) as raw,
             ):
-                raw.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+                [(blocked, *_)] = raw.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
         except sa.exc.DBAPIError as error:
             log.debug("the journal keeps its size: %s", error)
+            return False
+        return not blocked
 
     def close(self) -> None:
         """Close all connections."""

@@ -146,7 +146,9 @@ class KeptQueries(Part):
             which = sa.delete(KEPT_QUERIES).where(own, KEPT_QUERIES.c.id.in_(list(query_ids)))
             return int(connection.execute(which).rowcount)
 
-        return int(self._database.freeing(remove))
+        removed = int(self._database.freeing(remove))
+        self._database.scrub()
+        return removed
 
 
 def _kept(row: sa.Row[Any]) -> KeptQuery:

@@ -189,6 +189,8 @@ class Maps(Part):
         else:
             with self._database.writing() as connection:
                 record, forgets = change(connection)
+            self._database.stain()
+        self._database.scrub()  # of kept queries
         if forgets is not None:
             forgetting.remove_all(self._database, self._images, forgets)
         return record

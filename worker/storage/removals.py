@@ -181,7 +181,11 @@ class Removals(Part):
         return replace(self._receipt(portions, None, making), queries=queries)
 
     def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
-        """What the portions deleted, each as it was in its own transaction, and what snapshots have."""
+        """What the portions deleted, each as it was in its own transaction, and what snapshots have.
+
+        It is gone from the journal of the database too.
+        """
+        self._database.scrub()
         digests = [digest for portion in portions for digest in portion.digests]
         started = list(dict.fromkeys([*making, *(one for portion in portions for one in portion.being_made)]))
         shared = frozenset[str]().union(*(portion.images.needed for portion in portions))

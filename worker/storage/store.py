@@ -205,10 +205,12 @@ class SqlStore:
             connection.execute(sa.delete(CALLS).where(CALLS.c.key == PROBE))
 
     def tend(self) -> None:
-        """What is done now and then: make the reserve for deletions where it is missing, count among the services of
-        the database again, finish deletions and calls that could not be finished, and give a sign of life."""
+        """What is done now and then: make the reserve for deletions where it is missing, empty the journal of what was
+        replaced, count among the services of the database again, finish deletions and calls that could not be finished,
+        and give a sign of life."""
         if self._database.space is not None:
             self._database.space.restore()
+        self._database.scrub(patience_s=0)
         self._peers.rejoin()
         self.removals.finish_late()
         with suppress(DiskFull, StorageFailed):

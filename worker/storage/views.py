@@ -158,9 +158,11 @@ class Views(Part):
         as it was.
         """
         try:
-            return self._change(view_id, change, None)
+            changed = self._change(view_id, change, None)
         except _AnswersUnread:
-            return self._change(view_id, change, Answers(self._database, [view_id]))
+            changed = self._change(view_id, change, Answers(self._database, [view_id]))
+        self._database.stain()  # people edit view after view: the journal is emptied for all of them together
+        return changed
 
     def _change(
         self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes], answers: Answers | None
