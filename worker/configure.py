@@ -1,7 +1,9 @@
-"""Settings of the whole process: threads of each library, the interpreter's switch interval, the allocator."""
+"""Settings of the whole process: threads of each library, the interpreter's switch interval, the allocator, no core."""
 
 import ctypes
+import resource
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 
 import cv2
@@ -15,7 +17,10 @@ between native calls; Python's default of 5 ms delayed an enrolment by a tenth (
 
 
 def configure(threads: int) -> None:
-    """Set the threads of OpenCV and FAISS and the switch interval of the process.
+    """Set the threads of OpenCV and FAISS and the switch interval of the process; a crash of it writes no core file.
+
+    That would have the images that were sent, not blurred yet, and the keys of callers. Who debugs can raise the limit
+    of the running process (`prlimit --core`).
 
     `worker.__init__` sets the threads of numpy's products, `configure_torch` those of torch.
 
@@ -28,6 +33,8 @@ def configure(threads: int) -> None:
     # A search is memory-bound; threads that compete for cores make it several times slower.
     faiss.omp_set_num_threads(1)
     sys.setswitchinterval(SWITCH_S)
+    with suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
 
 
 def has_torch() -> bool:

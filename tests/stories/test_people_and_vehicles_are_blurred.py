@@ -1,6 +1,8 @@
 """A shop may photograph the street, but not keep who walks there: what is kept is blurred, and places are found."""
 
 import io
+import resource
+import sys
 import time
 import zipfile
 from collections.abc import Iterator
@@ -82,6 +84,19 @@ def test_what_is_kept_and_served_shows_nobody(client: httpx.Client, data: Path) 
         assert (np.isin(np.asarray(drawn), list(people))).mean() < 0.01
     everything = b"".join(path.read_bytes() for path in data.rglob("*") if path.is_file())
     assert image[len(image) // 2 :][:200] not in everything
+
+
+class Debugged(RunningService):
+    """A service whose shell has it write a core file when it crashes."""
+
+    within = "sh", "-c", 'ulimit -S -c "$(ulimit -H -c)"; exec "$@"', "sh"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of other processes are read on Linux")
+def test_a_crash_writes_no_core_file_with_what_was_sent(tmp_path: Path) -> None:
+    with Debugged(tmp_path) as service:
+        least, most = resource.prlimit(service.pid, resource.RLIMIT_CORE)
+        assert (least, most) == (0, resource.getrlimit(resource.RLIMIT_CORE)[1])
 
 
 def test_the_same_image_again_is_the_same_view_and_is_found(client: httpx.Client) -> None:
