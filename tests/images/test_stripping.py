@@ -145,6 +145,27 @@ def test_what_is_cut_is_stripped_or_refused(form: str) -> None:
             continue
 
 
+def test_what_a_tiff_had_before_a_program_took_it_out_is_not_given_away() -> None:
+    """libtiff and GDAL write another directory behind the image, and leave the old one where it was."""
+    out = io.BytesIO()
+    PilImage.fromarray(drawn(96, 64, 3)).save(out, "TIFF", description="the garden of anna")
+    data = out.getvalue() + bytes(len(out.getvalue()) % 2)
+    (at,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, at)
+    fields = [data[start : start + 12] for start in range(at + 2, at + 2 + 12 * count, 12)]
+    kept = [field for field in fields if field[:2] != struct.pack("<H", 270)]  # ImageDescription
+    edited = (
+        data[:4] + struct.pack("<I", len(data)) + data[8:] + struct.pack("<H", len(kept)) + b"".join(kept) + bytes(4)
+    )
+    assert b"anna" in edited
+
+    stripped = strip(edited, "tiff")
+
+    assert b"anna" not in stripped
+    assert np.array_equal(decode(stripped, LIMITS).pixels, decode(edited, LIMITS).pixels)
+    assert strip(stripped, "tiff") == stripped
+
+
 def tiff_of_strips(rows: int, size: int) -> bytes:
     """A TIFF with a strip for each row, of which each says that it has `size` bytes, and a secret."""
     pixels = drawn(32, rows).tobytes()
