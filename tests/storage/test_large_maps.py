@@ -118,6 +118,19 @@ def test_a_view_is_changed_while_others_write_however_many_answers_are_kept(data
         assert 0 < measured("south") < 1.2 * few
 
 
+def test_a_call_with_a_key_begins_as_quickly_among_many(data: Path) -> None:
+    put_tables(data)
+    with closing(open_store(sqlite_url(data), data)) as store:
+
+        def measured() -> int:
+            return steps_in_turn(store, lambda: store.calls.begin(str(uuid7()), "", datetime.now(UTC)))
+
+        measured()
+        few = measured()
+        have_answered(store, MANY)
+        assert 0 < measured() < 1.2 * few
+
+
 def test_a_page_of_jobs_reads_the_rows_of_no_others(data: Path) -> None:
     put_tables(data)
     with closing(open_store(sqlite_url(data), data)) as store:

@@ -65,8 +65,10 @@ class Calls(Part):
 
         with self._late_unless_done(key, forget), self._database.writing() as connection:
             now = _time(connection, now, shared)
-            given_up = CALLS.c.finished_at.is_(None) & (CALLS.c.begun_at <= now - GIVEN_UP)
-            connection.execute(sa.delete(CALLS).where((CALLS.c.begun_at <= now - KEPT) | given_up))
+            connection.execute(sa.delete(CALLS).where(CALLS.c.begun_at <= now - KEPT))
+            # Of this key alone: to find others, all calls of a day would be looked through while nobody else may write.
+            given_up = CALLS.c.key == key, CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now - GIVEN_UP
+            connection.execute(sa.delete(CALLS).where(*given_up))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
             if row is None:
                 connection.execute(sa.insert(CALLS).values(key=key, fingerprint=fingerprint, begun_at=now))
