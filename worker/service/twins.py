@@ -26,11 +26,12 @@ class _Pair:
     one_spot: int = 0
     fooled: int = 0
     score: float = 0.0
-    views: list[str] = field(default_factory=list)
+    views: dict[str, None] = field(default_factory=dict)
+    """Ids, in the order in which they were met."""
 
     def add(self, score: float, *views: str) -> None:
         self.score = max(self.score, score)
-        self.views += [view for view in views if view not in self.views]
+        self.views.update(dict.fromkeys(views))
 
 
 def find_twins(
@@ -47,7 +48,7 @@ def find_twins(
     comparison says that both show one spot; or when the map, queried with one of them, finds the other before any
     further view of its own place; or when it would be `matched` with the other if its own place were not in the map.
     """
-    of = {view.seq: view for view in views}
+    of, name_of = {view.seq: view for view in views}, {view.id: view.known.name for view in views}
     places = Places({view.seq: view.known for view in views}, same_place_m)
     pairs: defaultdict[tuple[str, str], _Pair] = defaultdict(_Pair)
 
@@ -74,14 +75,14 @@ def find_twins(
             found.add(compared.level, view.id, rival.id)
     for (first, second), found in pairs.items():
         seen = [of_views for of_views in (_one_spot(found.one_spot), _fooled(found.fooled)) if of_views]
-        names = {view.known.name for view in views if view.id in found.views and view.known.name is not None}
+        names = {name for view in found.views if (name := name_of[view]) is not None}
         yield HealthFinding(
             "twins",
             f"the map takes {first} and {second} for each other: {' and '.join(seen)}",
             REMEDY,
             weight=found.one_spot + found.fooled + min(found.score, 1.0) / 2,
             places=tuple(sorted(names)),
-            views=tuple(found.views[:SHOWN]),
+            views=tuple(found.views)[:SHOWN],
             count=len(found.views),
         )
 
