@@ -230,9 +230,10 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
     async def view_etag(self, view_id: str, kind: str) -> str:
         return f'"{self._view(view_id).facts.sha256[:12]}-{kind}"'
 
-    async def maps(self) -> wire.Maps:
+    async def maps(self, among: Collection[str] | None = None) -> str:
         self._may_fail("maps")
-        return wire.Maps(maps=[self._facts(name) for name in sorted({k.map for k in self.kept.values()})])
+        names = sorted(name for name in {k.map for k in self.kept.values()} if among is None or name in among)
+        return wire.Maps(maps=[self._facts(name) for name in names]).model_dump_json()
 
     async def map(self, name: str) -> wire.MapFacts:
         if name not in self.made and name not in {k.map for k in self.kept.values()}:

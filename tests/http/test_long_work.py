@@ -1,6 +1,7 @@
 """What takes long keeps nobody else from a thread."""
 
 import asyncio
+import json
 import threading
 from collections.abc import Awaitable, Callable
 from unittest.mock import Mock
@@ -9,7 +10,9 @@ import pytest
 
 from app.http.curate import Curator
 from app.http.recognise import Recogniser
+from schemas import wire
 from schemas.records import ViewAttributes
+from tests import answers
 
 PARTS = (
     *("views", "renderings", "maps", "jobs", "calibrations", "health", "inbox", "proposals", "snapshots", "calls"),
@@ -96,3 +99,20 @@ def test_a_list_is_given_while_many_enrolments_wait_for_the_store() -> None:
             await asyncio.gather(*waiting, return_exceptions=True)
 
     assert asyncio.run(meanwhile()) == "listed"
+
+
+def test_thousands_of_maps_are_told_while_others_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of an answer that grows with the maps is made beside the loop that answers everybody."""
+    told_in = []
+
+    def told(name: str) -> wire.MapFacts:
+        told_in.append(threading.get_ident())
+        return wire.MapFacts.model_validate(answers.map_facts(name))
+
+    monkeypatch.setattr("app.http.presenters.map_facts", told)
+    parts = {name: Mock() for name in PARTS}
+    parts["maps"].all.return_value = ["attic", "campus"]
+    listed = asyncio.run(Curator(**parts).maps())
+    assert [facts["name"] for facts in json.loads(listed)["maps"]] == ["attic", "campus"]
+    assert len(told_in) == 2
+    assert threading.get_ident() not in told_in

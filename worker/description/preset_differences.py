@@ -30,16 +30,32 @@ class PresetDifference:
     preset: JsonValue
 
 
-def preset_differences(recipe: MapRecipe, encoder: Encoder) -> tuple[PresetDifference, ...]:
-    """What naming a map's own preset would change of its parameters and ranking; nothing of a preset unknown here."""
-    name = recipe.ranking.preset
-    if name not in PRESETS:
-        return ()
-    preset = preset_for(name, encoder)
-    return (
-        *_differences("parameters", _values(recipe.description.parameters), _values(preset.parameters)),
-        *_differences("ranking", _values(recipe.ranking), _values(preset.ranking)),
-    )
+class PresetDifferences:
+    """Differences of maps from their presets, as an encoder has these; each is made once.
+
+    Parameters
+    ----------
+    encoder : Encoder
+    """
+
+    def __init__(self, encoder: Encoder) -> None:
+        self._encoder = encoder
+        self._presets: dict[str, tuple[Mapping[str, JsonValue], Mapping[str, JsonValue]]] = {}
+
+    def of(self, recipe: MapRecipe) -> tuple[PresetDifference, ...]:
+        """What naming a map's own preset would change of its parameters and ranking; nothing of a preset unknown
+        here."""
+        name = recipe.ranking.preset
+        if name not in PRESETS:
+            return ()
+        if name not in self._presets:
+            preset = preset_for(name, self._encoder)
+            self._presets[name] = _values(preset.parameters), _values(preset.ranking)
+        parameters, ranking = self._presets[name]
+        return (
+            *_differences("parameters", _values(recipe.description.parameters), parameters),
+            *_differences("ranking", _values(recipe.ranking), ranking),
+        )
 
 
 def _values(half: BaseModel) -> dict[str, JsonValue]:

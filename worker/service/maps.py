@@ -15,7 +15,7 @@ from schemas.records import JobRecord, MapCounts, MapRecord, Meaning
 from schemas.removal import Removal
 from worker.description.describers import Describers
 from worker.description.ports import Encoder
-from worker.description.preset_differences import USERS_OWN, PresetDifference, preset_differences
+from worker.description.preset_differences import USERS_OWN, PresetDifference, PresetDifferences
 from worker.description.presets import Wanted, changed_ranking, make_recipe
 from worker.method.calibration import Calibration
 from worker.method.own_calibration import OwnCalibration
@@ -83,14 +83,16 @@ class MapService:
         self._maps, self._removals, self._jobs, self._uploads = maps, removals, jobs, uploads
         self._levels, self._shipped = KnownLevels(comparisons), shipped
         self._encoder, self._describers, self._catalogue = encoder, describers, catalogue
+        self._differences = PresetDifferences(encoder)
         self._preset, self._blurring, self._wake = preset, blurring, wake
 
-    def all(self) -> list[MapState]:
-        """All maps, sorted by name; without those that are deleted while they are counted."""
+    def all(self, among: Collection[str] | None = None) -> list[MapState]:
+        """All maps, or those of some names, sorted by name; without those that are deleted while they are counted."""
         states, counts = [], self._maps.counts_of_all()
         for record in self._maps.all():
-            with suppress(NotFound):
-                states.append(self._state(record, counts.get(record.name)))
+            if among is None or record.name in among:
+                with suppress(NotFound):
+                    states.append(self._state(record, counts.get(record.name)))
         return states
 
     def get(self, name: str) -> MapState:
@@ -267,7 +269,7 @@ class MapService:
         labels = record.description.labels
         if self._is_own(record.description):
             meanings = tuple(self._encoder.meanings(labels))
-            differences = preset_differences(record.recipe, self._encoder)
+            differences = self._differences.of(record.recipe)
         else:  # of an encoder that is not running, for which the preset may be another one
             meanings = tuple(Meaning(label, (), trained=False) for label in labels)
             differences = ()
