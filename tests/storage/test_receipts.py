@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import sqlalchemy as sa
@@ -197,6 +198,27 @@ def test_a_snapshot_without_images_has_the_descriptions(campus: SqlStore) -> Non
     receipt = campus.removals.delete_views("campus", Filters(place="east"))
     assert [(one.id, one.views) for one in receipt.snapshots] == [(SECOND, 2)]
     assert receipt.images_shared == 1
+
+
+def test_each_of_many_snapshots_is_read_once_for_all_deletions(
+    campus: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many = [SECOND[:-2] + f"{number:02}" for number in range(20)]
+    for snapshot_id in many:
+        campus.snapshots.make("campus", snapshot_id, NOW, quiet)
+    place = campus.snapshots._place
+    read = Mock(side_effect=place.digests)
+    monkeypatch.setattr(place, "digests", read)
+
+    for view in views(campus)[:2]:
+        receipt = campus.removals.delete_view(view.id)
+        assert [one.views for one in receipt.snapshots] == [1] * len(many)
+    assert read.call_count == len(many)
+    campus.snapshots.delete(many.pop())
+    campus.snapshots.make("campus", many[0], NOW, quiet)  # anew, without those two
+    [hall] = views(campus)
+    assert [one.views for one in campus.removals.delete_view(hall.id).snapshots] == [1] * len(many)
+    assert read.call_count == 20 + 1
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "another"])
