@@ -71,7 +71,7 @@ def test_the_smallest_limits_refuse_images_and_end_no_decoder() -> None:
     tiny = DecoderPool(1, Limits(max_bytes=2_000, max_pixels=1_100), deadline_s=20)
     tiny.start()
     try:
-        with pytest.raises(BadImage, match="at most 0.0011"):
+        with pytest.raises(BadImage, match=r"at most 0\.0011"):
             tiny.decode(encoded(np.zeros((35, 40, 3), np.uint8), "png"))
         assert tiny.decode(encoded(np.zeros((32, 32, 3), np.uint8), "png")).pixels.shape == (32, 32, 3)
         assert [process.starts for process in tiny.processes] == [1]
