@@ -97,6 +97,12 @@ def test_the_same_recording_again_adds_nothing(client: httpx.Client) -> None:
     assert [view["metadata"] for view in client.get("/views?map=twice&place=p2").json()["views"]] == [{"floor": 2}]
 
 
+def test_a_recording_that_is_sent_again_while_it_is_imported_is_there_already(client: httpx.Client) -> None:
+    begun = [client.post("/maps/both/imports", content=zipped(photos(40)), headers=ZIP).json() for _ in range(2)]
+    reports = [ended(client, job["id"])["result"] for job in begun]
+    assert [(report["enrolled"], report["already_there"]) for report in reports] == [(40, 0), (0, 40)]
+
+
 def test_other_attributes_for_an_image_that_is_there_are_an_error(client: httpx.Client) -> None:
     sent(client, "moved", {**photos(1), "manifest.csv": "file,x,y\n0000.jpg,1,2\n"})
 

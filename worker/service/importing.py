@@ -169,10 +169,11 @@ class Importer:
 
     # what a run of a job does with one image
 
-    def read(self, claim: MapClaim, item: Item, exif: frozenset[str], began: datetime) -> "_Read":
+    def read(self, claim: MapClaim, item: Item, exif: frozenset[str], began: datetime | None) -> "_Read":
         """An image, and its view in the map or else the decoded image; raises ValueError, RevisitError.
 
-        What is wrong with an image is told too of those in the map since the job `began`, which may be its own.
+        What is wrong with an image is told too of those in the map since the job `began`, which an earlier run of it
+        may have enrolled.
         """
         data = item.read()
         attributes = item.attributes
@@ -181,7 +182,7 @@ class Importer:
             attributes = completed(attributes, {name: value for name, value in known.items() if name in exif})
         attributes = turned(attributes, item.turn)
         view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)
-        if view is not None and view.enrolled_at < began:
+        if view is not None and (began is None or view.enrolled_at < began):
             return _Read(data, attributes, view, None, None)
         image = self._decode(data)
         return _Read(data, attributes, view, None if view else image, self._look_for_problem(image))
@@ -229,12 +230,13 @@ class Importer:
         """Tell the store how far a job is; raises LeaseLost."""
         self._jobs.report_import(claim, report.progress, asdict(report))
 
-    def began(self, claim: MapClaim) -> datetime:
-        """When a job was queued; raises LeaseLost when it went with its map."""
+    def began(self, claim: MapClaim) -> datetime | None:
+        """When a job was queued that has run before; None in its first run. Raises LeaseLost when it is gone."""
         try:
-            return self._jobs.get(claim.job_id).created_at
+            job = self._jobs.get(claim.job_id)
         except NotFound as error:
             raise LeaseLost(error.detail) from None
+        return None if job.progress is None else job.created_at  # which each run reports first of all
 
 
 class _Run:
@@ -305,7 +307,8 @@ class _Run:
             self._fail(item.file, "malformed-body", str(error))
             return
         # A run after a crash finds views that an earlier run of the same job enrolled.
-        earlier = not created and view.enrolled_at >= self._began and self._importer.is_imported(view.id)
+        since = self._began is not None and not created and view.enrolled_at >= self._began
+        earlier = since and self._importer.is_imported(view.id)
         own = (created or earlier) and view.id not in self._seen
         self._seen.add(view.id)
         size = 3 * view.image.width * view.image.height
