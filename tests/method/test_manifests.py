@@ -122,6 +122,13 @@ def test_what_python_alone_takes_for_a_number_is_none() -> None:
         attributes(row, "manifest.csv")
 
 
+@pytest.mark.parametrize("name", ["manifest.csv", "manifest.ndjson"])
+def test_a_row_names_no_file_that_fills_a_report(name: str) -> None:
+    begin, end = ("file,x\n", ",1\n") if name.endswith("csv") else ('{"file": "', '"}\n')
+    with pytest.raises(ValueError, match=r"line [12]: names a file of 2,000 letters; at most 1,024 are taken"):
+        read_manifest(name, f"{begin}{'a' * 2000}{end}".encode())
+
+
 def test_a_heading_of_next_to_nothing_below_0_is_0() -> None:
     (row,) = read_manifest("manifest.csv", b"file,heading\na.jpg,-1e-17\n").rows
     assert attributes(row, "manifest.csv").position.heading == 0

@@ -30,6 +30,8 @@ NUMBERS = ("x", "y", "z", "lat", "lon", "alt", "heading")
 
 MOST_ROWS = 200_000
 LONGEST_PLACE = 200
+LONGEST_FILE = 1024
+"""Letters of a row's file, as of a name in an archive: reports tell of rows whose file is not there."""
 
 _MEANT = {other: ours for ours, others in NAMES.items() for other in (ours, *others)}
 _UNIX = re.compile(r"\d{9,19}(\.\d+)?", re.ASCII)
@@ -219,9 +221,12 @@ def _named(name: str, columns: Iterable[str]) -> dict[str, str]:
     return {column: ours for ours, column in first.items()}
 
 
-def _row(line: int, named: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> Row:
+def _row(name: str, line: int, named: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> Row:
     """A row of named values and metadata: a name of ours within metadata says nothing of the view."""
     file = values.composed(str(named["file"]).strip().replace("\\", "/").removeprefix("./"))
+    if len(file) > LONGEST_FILE:
+        letters = f"names a file of {len(file):,} letters; at most {LONGEST_FILE:,} are taken"
+        raise ValueError(f"{name}, line {line}: {letters}")
     given = {key: value for key, value in named.items() if key in NAMES and key != "file"}
     further = {key: value for key, value in named.items() if key not in NAMES}
     return Row(line, file, given, {**(metadata or {}), **further})
@@ -258,7 +263,7 @@ def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
                 if _THOUSANDS.fullmatch(filled[column]):
                     either = f"is {filled[column]!r}, which may have a comma for thousands or for decimals"
                     raise ValueError(f"{name}, line {reader.line_num}: {column} {either}; write it without")
-            rows.append(_row(reader.line_num, filled))
+            rows.append(_row(name, reader.line_num, filled))
             _count(name, rows)
         _check_quotes(text, delimiter)
     except csv.Error as error:
@@ -301,7 +306,7 @@ def _json_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
         if not isinstance(filled.get("file"), str):
             raise ValueError(f"{name}, line {number}: names no file")
         inner = filled.pop("metadata", {})
-        rows.append(_row(number, filled, inner if isinstance(inner, dict) else {"metadata": inner}))
+        rows.append(_row(name, number, filled, inner if isinstance(inner, dict) else {"metadata": inner}))
         _count(name, rows)
     return [*columns], rows
 
