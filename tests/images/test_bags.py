@@ -104,6 +104,12 @@ def test_a_topic_without_a_pose_that_can_be_used_is_not_chosen_and_is_told_of(tm
         assert [note.detail for note in recording.notes] == ["no pose lies within 0.2 s of it; it has no position"]
 
 
+def test_a_topic_without_end_is_passed_over(tmp_path: Path) -> None:
+    """Of a megabyte, say, which packs to nothing: as the name of 50,000 images it would fill the memory."""
+    known = listed(tmp_path / "upload", bag([image(0, photo(), "/" + "a" * 300), image(0, photo(), "/front")]))
+    assert [*known["images"]] == [*known["types"]] == ["/front"]
+
+
 def test_encodings_that_are_not_read_are_named(tmp_path: Path) -> None:
     raw = {"height": 32, "width": 32, "is_bigendian": 0, "step": 96, "data": bytes(32 * 96)}
     kind = "sensor_msgs/msg/Image"

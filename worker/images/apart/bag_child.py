@@ -31,6 +31,9 @@ LIST_S, SEND_S = 300, 120
 MOST_LISTED, MOST_TOPICS = 1_000_000, 1_000
 """Images and poses, and topics, that are told of."""
 
+LONGEST_TOPIC = 255
+"""Letters of a topic that is told of, as parameters name one: each image of a recording is named by its topic."""
+
 MOST_ENCODINGS = 10
 """That are told of by name."""
 
@@ -121,7 +124,7 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
     listed = 0
     for schema, channel, message in _messages(path, broken):
         name = "" if schema is None else schema.name
-        if channel.topic not in types and len(types) == MOST_TOPICS:
+        if len(channel.topic) > LONGEST_TOPIC or (channel.topic not in types and len(types) == MOST_TOPICS):
             continue
         types[channel.topic] = name
         if name not in IMAGES and name not in POSES:
