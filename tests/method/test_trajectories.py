@@ -143,8 +143,12 @@ def test_lists_of_images() -> None:
     }
     apart = unicodedata.normalize("NFD", "rgb/höhe.png")  # as macOS writes it
     assert poses_of([apart], tum(f"7 4 0 0 {LEVEL}"), read_list("rgb.txt", "7 rgb/höhe.png".encode()))[apart].x == 4
-    with pytest.raises(ValueError, match="line 1"):
-        read_list("rgb.txt", b"soon rgb/1.png")
+    for time in (b"soon", b"nan"):
+        with pytest.raises(ValueError, match="line 1: needs a time and a file"):
+            read_list("rgb.txt", time + b" rgb/1.png")
+    with pytest.raises(ValueError, match=r"line 2: 1[.]png has two times, 1 and 2 s"):
+        read_list("rgb.txt", b"1 1.png\n2 1.png\n")
+    read_list("images.txt", b"1 0.9 0.1 0 0 1 2 3 1 a.jpg\n2 0.9 0.1 0 0 1 2 3 1 b.jpg\n")  # COLMAP's, of no use here
     with pytest.raises(ValueError, match="no text"):
         read_list("rgb.txt", b"\xff\xfe\x00")
 

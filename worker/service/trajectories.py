@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 
 from schemas.records import Position, ViewAttributes
 from schemas.values import FARTHEST_M, composed, whole_turn
+from worker.service.archives import SUFFIXES
 
 NAMES = frozenset(
     {"groundtruth.txt", "trajectory.txt", "poses.txt", "pose.txt", "cameratrajectory.txt", "keyframetrajectory.txt"}
@@ -114,15 +115,18 @@ def read_poses(name: str, data: bytes) -> list[Pose]:
 
 
 def read_list(name: str, data: bytes) -> dict[str, float]:
-    """Times in seconds by file; raises ValueError, also where a file has two."""
+    """Times in seconds by file; raises ValueError, also where an image has two."""
     times: dict[str, float] = {}
     for number, words in _lines(name, data):
         try:
             time, file = float(words[0]), words[1]
+            if not math.isfinite(time):
+                raise ValueError(words[0])
         except (IndexError, ValueError):
             raise ValueError(f"{name}, line {number}: needs a time and a file") from None
         file = composed(file.replace("\\", "/").removeprefix("./"))
-        if times.setdefault(file, time) != time:
+        of_image = PurePosixPath(file).suffix.lower() in SUFFIXES  # COLMAP's images.txt has numbers there
+        if times.setdefault(file, time) != time and of_image:
             raise ValueError(f"{name}, line {number}: {file} has two times, {times[file]:g} and {time:g} s")
     return times
 
