@@ -109,6 +109,16 @@ def test_the_depth_images_of_a_benchmark_are_no_views(tmp_path: Path) -> None:
         assert (len(recording.items), recording.left_out) == (2, 5)
 
 
+def test_photos_are_no_depth_images_of_the_same_names(tmp_path: Path) -> None:
+    """As a recorder writes them that lists each folder in the folder itself."""
+    files: dict[str, bytes | str] = {f"{kind}/{n}.png": photo(n, "png") for n in range(2) for kind in ("rgb", "depth")}
+    files |= {f"{kind}/{kind}.txt": "5 0.png\n9 1.png\n" for kind in ("rgb", "depth")}
+    files["poses.txt"] = "5 5 0 0 0 0 0 1\n9 9 0 0 0 0 0 1\n"
+    with opened(tmp_path / "a.zip", zipped(files)) as recording:
+        found = [(item.file, item.attributes.position.x) for item in recording.items]
+        assert (found, recording.left_out) == ([("rgb/0.png", 5), ("rgb/1.png", 9)], 2)
+
+
 def test_times_are_those_of_the_list_beside_the_images(tmp_path: Path) -> None:
     """Two cameras, say, each with a list of its own that names the same files."""
     files: dict[str, bytes | str] = {f"{side}/rgb/0.png": photo(n, "png") for n, side in enumerate(("left", "right"))}

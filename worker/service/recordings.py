@@ -184,7 +184,7 @@ def _trajectory(archive: Archive) -> tuple[set[str], dict[str, Pose] | None, set
         poses = trajectories.read_poses(named[0].name, archive.read(named[0], MOST_MANIFEST_BYTES))
         times, deep = _listed(archive, lists), _listed(archive, others)
         names = {entry.name: entry.name.replace("\\", "/") for entry in archive.images}
-        depths = {entry for entry, file in names.items() if trajectories.listed(file, deep) is not None}
+        depths = {entry for entry, file in names.items() if trajectories.is_depth(file, deep, times)}
         files = [file for entry, file in names.items() if entry not in depths]
         used = {entry.name for entry in (*named, *lists, *others)}
         return used, trajectories.poses_of(files, poses, times), depths

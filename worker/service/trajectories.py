@@ -85,9 +85,19 @@ def is_list_of_depths(name: str) -> bool:
 
 def listed(file: str, times: Mapping[str, float]) -> float | None:
     """The time of a file by a list of `read_list`, which has the end of its path; None where it has none."""
+    name = _listed_as(file, times)
+    return None if name is None else times[name]
+
+
+def is_depth(file: str, depths: Mapping[str, float], times: Mapping[str, float]) -> bool:
+    """Whether a file is a depth image by lists of both: the one that has more of its path says what it is."""
+    deep, plain = _listed_as(file, depths), _listed_as(file, times)
+    return deep is not None and (plain is None or len(deep) >= len(plain))
+
+
+def _listed_as(file: str, times: Mapping[str, float]) -> str | None:
     parts = PurePosixPath(composed(file)).parts
-    found = (times.get("/".join(parts[start:])) for start in range(len(parts)))
-    return next((time for time in found if time is not None), None)
+    return next((name for start in range(len(parts)) if (name := "/".join(parts[start:])) in times), None)
 
 
 def read_poses(name: str, data: bytes) -> list[Pose]:
