@@ -224,3 +224,22 @@ def test_the_rival_is_shown_whatever_top_is_and_may_be_deleted(runtime: Runtime)
 
     assert with_rival.width == without.width == WIDTH
     assert with_rival.size != without.size
+
+
+def called(runtime: Runtime, view_id: str, place: str | None) -> None:
+    runtime.services.views.change(view_id, lambda has: replace(has, place=place))
+
+
+def test_views_are_called_what_they_are_called_now(runtime: Runtime) -> None:
+    """Who takes the name of a place back does not want to read it in a drawing."""
+    services = runtime.services
+    for name in PLACES[2:]:
+        services.enroll.enroll(photo(scene(name)), "renamed", ViewAttributes(place=name), patience_s=60)
+    kept = services.query.query(photo(scene("rose garden").seen_from(turn=2)), "renamed", explain=True)
+    for at in (0, 1):  # the match and its rival
+        before = services.renderings.explanation(kept.id, None)
+        view = kept.results.views[at].view
+        called(runtime, view.id, "elsewhere")
+        assert services.renderings.explanation(kept.id, None) != before
+        called(runtime, view.id, view.attributes.place)
+        assert services.renderings.explanation(kept.id, None) == before

@@ -139,6 +139,20 @@ def test_the_drawing_of_a_query_is_kept_and_another_has_a_version(client: Revisi
     assert (drawn.status_code, again.status_code) == (200, 304)
 
 
+def test_a_view_with_another_name_is_drawn_with_it(client: Revisit, url: str) -> None:
+    then, now = (client.enroll(taken(HALL, piece), map="named", place="hall").view.id for piece in (CUPBOARD, CHAIR))
+    query = client.query(taken(HALL, CUPBOARD), map="named", changes=True).query.id
+    with httpx.Client(base_url=url, timeout=60) as plain:
+        drawn = plain.get(f"/views/{now}/changes.png?since={then}")
+        of_query = client.draw_changes_of_query(query)
+        for view in (then, now):
+            client.patch(view, place="corridor")
+        again = plain.get(f"/views/{now}/changes.png?since={then}", headers={"If-None-Match": drawn.headers["etag"]})
+    assert again.status_code == 200
+    assert again.content != drawn.content
+    assert client.draw_changes_of_query(query) != of_query
+
+
 def test_photos_of_different_places_are_not_compared(client: Revisit) -> None:
     views = {view.place: view.id for view in client.views("house")}
     found = client.changes(views["mill lane"], since=views["rose garden"])

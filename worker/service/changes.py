@@ -1,5 +1,6 @@
 """What changed at a place: between two views of it, or between a view and a query that matched it."""
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -151,7 +152,7 @@ class ChangeService:
         ------
         NotFound, ImageNotKept, Busy
         """
-        first = self._explanations.get(query_id).view(None).view
+        first = self._views.get(self._explanations.get(query_id).view(None).view.id)  # by the name that it has now
         return self._drawn(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
 
     def version(self, view_id: str, since: str) -> str:
@@ -159,7 +160,8 @@ class ChangeService:
         one, other = self._views.get(view_id), self._views.get(since)
         owner = self._maps.get(one.map)
         refuse_forgotten(one, owner)
-        return f"{one.id}-{other.id}-{owner.description.id}-changes"
+        named = hashlib.sha256(f"{name_of(one)}\n{name_of(other)}".encode()).hexdigest()[:12]  # it is drawn with them
+        return f"{one.id}-{other.id}-{owner.description.id}-{named}-changes"
 
     def _query_photo(self, query_id: str) -> _Photo:
         return _Photo(query_id, self._explanations.get(query_id).image, "now: query")

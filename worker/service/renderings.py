@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -150,14 +151,20 @@ class RenderingService:
 
     def draw_explanation(self, explained: Explained, scored: ScoredView) -> bytes:
         """What decided about one of a query's matches, as PNG; raises NotFound when its view was deleted."""
+        scored = self._now(scored)
         image = self._photo(scored)
         against, other = explained.compared_with(scored), None
         if against is not None:
             with suppress(NotFound):  # deleted since: the match is explained without it
+                against = self._now(against)
                 other = against, self._photo(against)
         seqs = [scored.seq] if other is None else [scored.seq, other[0].seq]
         cells = self._descriptions.cells(seqs, explained.results.recipe.description.id)
         return explanation_png(sheet(explained, scored, image, other, cells))
+
+    def _now(self, scored: ScoredView) -> ScoredView:
+        """With its view as it is now: one that was given another name is not called what it was; raises NotFound."""
+        return replace(scored, view=self._views.get(scored.view.id))
 
     def _photo(self, scored: ScoredView) -> Pixels | None:
         """The photo of a view; None where its map keeps none."""
