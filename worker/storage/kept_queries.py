@@ -102,7 +102,9 @@ class KeptQueries(Part):
             last = sa.select(sa.func.max(KEPT_QUERIES.c.number)).where(KEPT_QUERIES.c.map_id == row.id)
             number = (connection.scalar(last) or 0) + 1
             connection.execute(sa.insert(KEPT_QUERIES).values(map_id=row.id, number=number, **values))
-            drop_oldest(connection, row.id, most, matched=seq is not None)
+            dropped = drop_oldest(connection, row.id, most, matched=seq is not None)
+        if dropped:
+            self._database.stain()
 
     def newest(self, name: str, most: int, *, matched: bool | None = False) -> tuple[list[KeptQuery], int]:
         """The newest `most` queries of a map, oldest first, and how many are kept; damaged ones are left out.
