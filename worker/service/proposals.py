@@ -9,6 +9,7 @@ import logging
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from schemas.errors import BlurChanged, Conflict, NotFound
 from schemas.inbox import KeptQuery, Proposal, Proposals
@@ -129,7 +130,7 @@ def _proposal(matches: Sequence[tuple[KeptQuery, ViewRecord]]) -> Proposal:
     scores = [query.score for query in queries if query.score is not None]
     return Proposal(
         queries=tuple(query.id for query in queries),
-        confirmed=tuple(query.id for query in queries if any(_is_another(query, other) for other in queries)),
+        confirmed=tuple(query.id for query, agrees in zip(queries, _agree(queries), strict=True) if agrees),
         matched={query.id: view.id for query, view in matches},
         place=newest.attributes.place,
         lowest_score=min(scores),
@@ -139,6 +140,11 @@ def _proposal(matches: Sequence[tuple[KeptQuery, ViewRecord]]) -> Proposal:
     )
 
 
-def _is_another(query: KeptQuery, other: KeptQuery) -> bool:
-    """Whether two queries are of two images: a robot that stands still confirms nothing."""
-    return query.recipe != other.recipe or float(np.linalg.norm(query.vectors - other.vectors)) > STILL
+def _agree(queries: Sequence[KeptQuery]) -> npt.NDArray[np.bool_]:
+    """Which queries of one place have one of another image among them: a robot that stands still confirms nothing."""
+    if len({query.recipe for query in queries}) > 1:
+        return np.ones(len(queries), np.bool_)
+    vectors = np.stack([query.vectors for query in queries]).astype(np.float64)
+    squares = np.einsum("ij,ij->i", vectors, vectors)
+    farthest = (squares[:, None] + squares - 2 * vectors @ vectors.T).max(axis=1)
+    return np.asarray(farthest > STILL**2)
