@@ -46,6 +46,10 @@ PAUSE_S = 2.0
 """Seconds until a comparison that the disk ended is begun again."""
 
 
+PORTION = 50
+"""Views near another that are read together, until one is of its place."""
+
+
 class ShadowJobs(Protocol):
     """Shadows of maps, and their jobs."""
 
@@ -364,8 +368,9 @@ class ShadowService:
         others = [] if only is None else [int(seq) for seq in only if seq != view.seq]
         if not is_known(view.attributes.position):
             return bool(others)
-        # They lie near on the plane; on another floor is another place.
-        return any(shows(one, view, within_m) for one in self._views.at(others).values())
+        # They lie near on the plane; on another floor is another place. Of a place of thousands few need to be read.
+        portions = (others[start : start + PORTION] for start in range(0, len(others), PORTION))
+        return any(shows(one, view, within_m) for some in portions for one in self._views.at(some).values())
 
 
 def _unless(stopping: Callable[[], bool]) -> None:
