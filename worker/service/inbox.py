@@ -1,6 +1,8 @@
 """Inbox: queries that matched nothing, by spot, to be named once or dismissed."""
 
-from collections.abc import Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -27,6 +29,10 @@ NEAR = 0.45
 
 ENROLLED = 10
 """Images of an unknown place that become views when it is named, spread evenly: more add little."""
+
+
+MOST_KNOWN = 50_000
+"""Pairs of queries of which it is remembered whether both show one spot, some 15 MB."""
 
 
 class KeptQueries(Protocol):
@@ -57,12 +63,13 @@ class InboxService:
 
     def __init__(self, *, maps: Maps, kept: KeptQueries, enroll: EnrollService) -> None:
         self._maps, self._kept, self._enroll = maps, kept, enroll
+        self._pairs = _Pairs()
 
     def of(self, name: str) -> Inbox:
         """The unknown places of a map; raises NotFound."""
         record = self._maps.get(name)
         queries, count = self._kept.newest(name, EXAMINED)
-        places = sorted(grouped(queries), key=lambda place: (-len(place.queries), place.queries))
+        places = sorted(grouped(queries, self._pairs.same), key=lambda place: (-len(place.queries), place.queries))
         return Inbox(tuple(places), count, len(queries), record.keep_queries)
 
     def image(self, name: str, query_id: str) -> bytes:
@@ -100,7 +107,11 @@ def spread(ids: Sequence[T], most: int) -> list[T]:
     return [ids[i] for i in sorted(set(np.linspace(0, len(ids) - 1, min(len(ids), most)).round().astype(int).tolist()))]
 
 
-def grouped(queries: Sequence[KeptQuery]) -> list[UnknownPlace]:
+Same = Callable[[KeptQuery, Sequence[KeptQuery]], list[bool]]
+"""Which of some queries show the spot of the first one."""
+
+
+def grouped(queries: Sequence[KeptQuery], same_spot: Same) -> list[UnknownPlace]:
     """Queries by spot: each that shows none of the spots before founds one, and takes all later ones that show it."""
     by_recipe: dict[str, list[KeptQuery]] = {}
     for query in queries:
@@ -112,13 +123,33 @@ def grouped(queries: Sequence[KeptQuery]) -> list[UnknownPlace]:
         for i, query in enumerate(alike_described):
             if i not in taken:
                 later = [j for j in sorted(near[i]) if j not in taken]
-                shown = _same(query, [alike_described[j] for j in later])
+                shown = same_spot(query, [alike_described[j] for j in later])
                 same = [j for j, shows in zip(later, shown, strict=True) if shows]
                 taken.update(same)
                 members = [query, *(alike_described[j] for j in same)]
                 ids = tuple(member.id for member in members)
                 places.append(UnknownPlace(ids, members[0].queried_at, members[-1].queried_at))
     return places
+
+
+class _Pairs:
+    """Remembers of pairs of queries whether both show one spot: the next list has nearly the same ones."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[tuple[str, str], bool] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def same(self, query: KeptQuery, others: Sequence[KeptQuery]) -> list[bool]:
+        """Which of the others show the spot of a query."""
+        with self._lock:
+            known = {other.id: self._known.get((query.id, other.id)) for other in others}
+        unknown = [other for other in others if known[other.id] is None]
+        found = {other.id: shows for other, shows in zip(unknown, _same(query, unknown), strict=True)}
+        with self._lock:
+            self._known.update({(query.id, other): shows for other, shows in found.items()})
+            while len(self._known) > MOST_KNOWN:
+                self._known.popitem(last=False)
+        return [bool(found.get(other.id, known[other.id])) for other in others]
 
 
 def _same(query: KeptQuery, others: Sequence[KeptQuery]) -> list[bool]:
