@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,11 @@ from typing import Any
 import sqlalchemy as sa
 from uuid6 import uuid7
 
+from schemas.ageing import DayScore
+from schemas.map_changes import MapChanges
 from schemas.records import ViewAttributes
 from tests.storage.databases import put_tables, sqlite_url
-from tests.storage.material import NOW, RECIPE, enroll, finish
+from tests.storage.material import NOW, RECIPE, describe_all, enroll, finish
 from worker.storage.rows import find_map
 from worker.storage.store import SqlStore, open_store
 from worker.storage.tables import CALLS, JOBS
@@ -142,3 +144,25 @@ def test_a_page_of_jobs_reads_the_rows_of_no_others(data: Path) -> None:
         have_described(store, MANY)
         each = (steps(store, page) - few) * STEP / MANY
         assert each < 25  # instructions; 44 where whole rows are put in order
+
+
+def test_the_row_of_a_view_is_read_once_for_all_days_on_which_it_was_matched(data: Path) -> None:
+    put_tables(data)
+    with closing(open_store(sqlite_url(data), data)) as store:
+        view = enroll(store, "gate").view
+        describe_all(store)
+        store.maps.change("campus", MapChanges(keep_matches=5))
+        read = partial(store.day_scores.of, "campus")
+        first = date(2026, 1, 1)
+
+        def measured(days: range) -> int:
+            scores = [DayScore(first + timedelta(days=day), 1, 0.5) for day in days]
+            store.day_scores.add("campus", RECIPE, {view.seq: scores})
+            return steps(store, read)
+
+        measured(range(1))
+        few = measured(range(1, 2))
+        [matched] = read()
+        assert len(matched.days) == 2
+        each = (measured(range(2, 30)) - few) * STEP / 28
+        assert each < 40  # instructions; 96 with the row of the view

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,17 +46,18 @@ class Trend:
     recent: int
     until: int
 
-    @property
+    @cached_property
     def fall(self) -> float:
         """By how much the median fell; negative where it rose."""
         return float(np.median(self.old) - np.median(self.new))
 
     def is_ageing(self, usual: float = 0.0) -> bool:
         """Whether the scores fell, by `FALL` and `SHARE`, beyond a `usual` fall."""
+        if self.fall - usual < FALL:  # as nearly everywhere
+            return False
         pairs = self.old[:, None] - usual - self.new[None]
         # A tie speaks for neither.
-        share = float((pairs > 0).mean() + (pairs == 0).mean() / 2)
-        return self.fall - usual >= FALL and share >= SHARE
+        return float((pairs > 0).mean() + (pairs == 0).mean() / 2) >= SHARE
 
 
 def trend(means: Mapping[int, float]) -> Trend | None:
