@@ -186,8 +186,8 @@ def test_a_proposal_that_was_refused_half_way_is_taken_when_it_is_sent_again(
 ) -> None:
     town.set(keep_matches=10)
     for dx in (0.85, 0.45):
-        town.at_night("old harbour", dx)
-    [harbour] = town.proposals()["proposals"]
+        town.at_night("station road", dx)
+    [road] = town.proposals()["proposals"]
     take, images = EnrollService.take, iter(range(9))
 
     def full_once(self: EnrollService, *of: Any) -> Enrolled:
@@ -196,7 +196,10 @@ def test_a_proposal_that_was_refused_half_way_is_taken_when_it_is_sent_again(
         return take(self, *of)
 
     monkeypatch.setattr(EnrollService, "take", full_once)
-    assert town.accept(harbour, unconfirmed=True).status_code == 429
-    taken = town.accept(harbour, unconfirmed=True).json()
-    assert [view["metadata"]["proposed_by"] for view in taken["views"]] == harbour["queries"]
+    assert town.accept(road, unconfirmed=True).status_code == 429
+    taken = town.accept(road, unconfirmed=True).json()
+    assert [view["metadata"]["proposed_by"] for view in taken["views"]] == road["queries"]
     assert (taken["queries"], town.proposals()["proposals"]) == (2, [])
+    town.settle()
+    for view in taken["views"]:
+        assert town.client.delete(f"/views/{view['id']}").status_code == 200
