@@ -102,6 +102,10 @@ class Tab:
         wide: bool = self.page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
         return wide
 
+    def shows_its_images(self) -> None:
+        """Wait for the images of the page: what comes moves what is below, and what is left is complained of."""
+        self.page.wait_for_function("() => [...document.images].every((image) => image.complete)")
+
     def close(self) -> None:
         """Close the page."""
         self.page.context.close()

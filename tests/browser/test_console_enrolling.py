@@ -68,6 +68,7 @@ def test_a_cleared_list_forgets_its_table(opened: Open, photos: list[Path], tmp_
 
     tab.page.get_by_label("Choose photos").set_input_files(photos[0])
     assert tab.page.get_by_label("Place of 0.jpg").input_value() == ""
+    tab.shows_its_images()
 
 
 ASKS = "() => !window.dispatchEvent(new Event('beforeunload', { cancelable: true }))"

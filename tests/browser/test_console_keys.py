@@ -74,6 +74,8 @@ def test_what_a_key_may_not_do_is_refused_with_the_reason(opened: Open, locked: 
     tab = opened("maps/vault", url=service.url, refusals=True)
     sign_in(tab, keys["read"])
     tab.page.locator(".grid .cell button").click()
+    tab.page.locator("dialog img[src]").first.wait_for()
+    tab.shows_its_images()
     tab.page.get_by_role("button", name="Delete this view …").click()
     tab.confirm("Delete the view")
     assert "has the scope read; this needs write" in tab.page.get_by_role("dialog").get_by_role("alert").inner_text()
