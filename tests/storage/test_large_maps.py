@@ -28,6 +28,20 @@ STEP = 10
 
 def steps(store: SqlStore, work: Callable[[], object]) -> int:
     """How much SQLite does for something, in `STEP` instructions."""
+    return _counted(store, "checkout", lambda raw: (raw, True), work)
+
+
+def steps_in_turn(store: SqlStore, work: Callable[[], object]) -> int:
+    """The same, of what is done while nobody else may write."""
+
+    def in_turn(connection: sa.Connection) -> tuple[Any, bool]:
+        return connection.connection.dbapi_connection, bool(connection.get_execution_options().get("writes"))
+
+    return _counted(store, "begin", in_turn, work)
+
+
+def _counted(store: SqlStore, event: str, of: Callable[[Any], tuple[Any, bool]], work: Callable[[], object]) -> int:
+    """Steps of the connections that an event names; `of` gives SQLite's own one, and whether it counts from then on."""
     count = 0
 
     def counted() -> int:
@@ -36,36 +50,15 @@ def steps(store: SqlStore, work: Callable[[], object]) -> int:
         return 0
 
     def watch(connection: Any, *_: object) -> None:
-        connection.set_progress_handler(counted, STEP)
+        raw, counts = of(connection)
+        raw.set_progress_handler(counted if counts else None, STEP)
 
     engine = store._database.engine
-    sa.event.listen(engine, "checkout", watch)
+    sa.event.listen(engine, event, watch)
     try:
         work()
     finally:
-        sa.event.remove(engine, "checkout", watch)
-    return count
-
-
-def steps_in_turn(store: SqlStore, work: Callable[[], object]) -> int:
-    """The same, of what is done while nobody else may write."""
-    count = 0
-
-    def counted() -> int:
-        nonlocal count
-        count += 1
-        return 0
-
-    def watch(connection: sa.Connection) -> None:
-        raw: Any = connection.connection.dbapi_connection
-        raw.set_progress_handler(counted if connection.get_execution_options().get("writes") else None, STEP)
-
-    engine = store._database.engine
-    sa.event.listen(engine, "begin", watch)
-    try:
-        work()
-    finally:
-        sa.event.remove(engine, "begin", watch)
+        sa.event.remove(engine, event, watch)
     return count
 
 

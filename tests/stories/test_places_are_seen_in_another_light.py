@@ -9,12 +9,11 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
-from schemas.errors import Busy
 from tests.openapi import CheckedClient
+from tests.stories.full_queues import full_at_the_second_image
 from tests.stories.photos import photo
 from tests.stories.running import settings
 from worker.runtime import build
-from worker.service.enroll import Enrolled, EnrollService
 
 JPEG = {"content-type": "image/jpeg"}
 PLACES = ("mill lane", "station road", "rose garden", "old harbour")
@@ -188,14 +187,7 @@ def test_a_proposal_that_was_refused_half_way_is_taken_when_it_is_sent_again(
     for dx in (0.85, 0.45):
         town.at_night("station road", dx)
     [road] = town.proposals()["proposals"]
-    take, images = EnrollService.take, iter(range(9))
-
-    def full_once(self: EnrollService, *of: Any) -> Enrolled:
-        if next(images) == 1:
-            raise Busy.queue(64, 0.5, "enrolments")
-        return take(self, *of)
-
-    monkeypatch.setattr(EnrollService, "take", full_once)
+    full_at_the_second_image(monkeypatch)
     assert town.accept(road, unconfirmed=True).status_code == 429
     taken = town.accept(road, unconfirmed=True).json()
     assert [view["metadata"]["proposed_by"] for view in taken["views"]] == road["queries"]

@@ -11,12 +11,11 @@ import pytest
 import sqlalchemy as sa
 
 from app.http.application import create_app
-from schemas.errors import Busy
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
+from tests.stories.full_queues import full_at_the_second_image
 from tests.stories.running import settings
 from worker.runtime import Runtime, build
-from worker.service.enroll import Enrolled, EnrollService
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.tables import KEPT_QUERIES
 
@@ -139,14 +138,7 @@ def test_a_name_that_was_refused_half_way_is_taken_when_it_is_sent_again(
     for quality in (92, 80, 70):
         assert town.query("dock", quality) == "no_match"
     [dock] = town.unknown()["places"]
-    take, images = EnrollService.take, iter(range(9))
-
-    def full_once(self: EnrollService, *of: Any) -> Enrolled:
-        if next(images) == 1:
-            raise Busy.queue(64, 0.5, "enrolments")
-        return take(self, *of)
-
-    monkeypatch.setattr(EnrollService, "take", full_once)
+    full_at_the_second_image(monkeypatch)
     name = partial(town.client.post, f"/maps/town/unknown/{dock['id']}", json={"place": "dock"})
     assert name().status_code == 429
     assert [one["id"] for one in town.unknown()["places"]] == [dock["id"]]
