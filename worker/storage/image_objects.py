@@ -11,16 +11,17 @@ import logging
 import os
 import re
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import groupby
 from typing import Any
 
 from schemas.errors import Damaged, RevisitError, SetupError
 from schemas.settings import IMAGES_ADDRESS
 from worker.storage import owner_file
-from worker.storage.image_files import DIGEST, LOST, Discarded, Owned
+from worker.storage.image_files import DIGEST, LOST, Discarded, Owned, damaged_or
 from worker.storage.object_errors import MISSING, code_of, told
 from worker.storage.object_files import ObjectFiles
 from worker.storage.owner_file import OWNER
@@ -160,6 +161,11 @@ class ImageObjects:
         if hashlib.sha256(image).hexdigest() != digest:
             raise Damaged(LOST.format(name, "does not hold what was enrolled" if image else "is empty"))
         return image
+
+    def read_each(self, digests: Sequence[str]) -> list[bytes | Damaged]:
+        """The bytes of images, or why there are none, as `read` raises it; raises StorageFailed."""
+        with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
+            return list(pool.map(partial(damaged_or, self.read), digests))
 
     def discard(self, digests: Iterable[str]) -> Discarded:
         """Remove images that no view needs, after their rows were deleted.

@@ -1,12 +1,13 @@
 """What the store needs of the place where images lie, and the choice of it: a folder, or an S3-compatible store."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import sqlalchemy as sa
 
+from schemas.errors import Damaged
 from worker.storage import checksums
 from worker.storage.database import Database
 from worker.storage.image_files import Discarded, Images
@@ -41,6 +42,10 @@ class ImageStore(Protocol):
 
     def read(self, digest: str) -> bytes:
         """The bytes of an image, verified; raises Damaged, StorageFailed."""
+        ...
+
+    def read_each(self, digests: Sequence[str]) -> list[bytes | Damaged]:
+        """The bytes of images, or why there are none, as `read` raises it; raises StorageFailed."""
         ...
 
     def discard(self, digests: Iterable[str]) -> Discarded:

@@ -28,9 +28,9 @@ from pydantic import ValidationError
 
 from schemas.errors import BadSnapshot
 from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
-from worker.storage import whole_files
 from worker.storage.one_thread import OneThread
 from worker.storage.tar_headers import BLOCK, END, header, padding, told
+from worker.storage.uncached_file import UncachedFile
 
 FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
 IMAGE, BODIES, VIEWS, COMPARISONS = "images/", "descriptions/", "views/", "comparisons/"
@@ -39,11 +39,8 @@ MOST_FACTS = 16 * 1024 * 1024
 MOST_PART = 1024 * 1024 * 1024
 """Bytes of the largest part: each is read into memory whole."""
 
-MOST_WAITING = 16 * 1024 * 1024
-"""Bytes of parts that wait to be written: some two portions of views."""
-
-WRITTEN_AHEAD = 32 * 1024 * 1024
-"""Bytes after which the disk is told to begin with them, so that little is left to wait for at the end."""
+MOST_WAITING = 32 * 1024 * 1024
+"""Bytes of parts that wait to be written: some portion of views."""
 
 _SLACK = 64
 """Spaces after the facts, for the digits of counts that are known at the end."""
@@ -82,26 +79,25 @@ class SnapshotWriter:
 
     Parameters
     ----------
-    file : binary file
-        New and empty, seekable, and opened without a buffer.
+    file : UncachedFile
+        Empty.
     facts : SnapshotFacts
         With counts that may still change.
     """
 
-    def __init__(self, file: BinaryIO, facts: SnapshotFacts) -> None:
+    def __init__(self, file: UncachedFile, facts: SnapshotFacts) -> None:
         self._file = file
         self._thread = OneThread("snapshot", MOST_WAITING)
         self._lines = TemporaryFile()  # noqa: SIM115
         self._numbers: dict[str, int] = {}
         self._facts_size = len(_as_bytes(facts)) + _SLACK
         self.image_bytes = self.row_bytes = 0
-        self._end = self._begun = 0  # of the parts so far, and up to where the disk has been told to begin
-        self._put([(FACTS, bytes(self._facts_size))])
+        self._file.write(_framed(FACTS, bytes(self._facts_size)))
 
     def add(self, name: str, pieces: Sequence[bytes]) -> None:
         """Append a part."""
         size = sum(map(len, pieces))
-        self._thread.do(size, partial(self._add, name, pieces))
+        self._thread.do(size, partial(self._add, name, pieces, size))
         self.row_bytes += size
 
     def add_images(self, images: Sequence[tuple[str, bytes]]) -> None:
@@ -128,47 +124,39 @@ class SnapshotWriter:
         first = _as_bytes(facts).ljust(self._facts_size)
         if len(first) != self._facts_size:
             raise ValueError("the facts grew by more than their counts")
-        self._file.seek(BLOCK)
-        self._write(first)
-        self._file.seek(self._end)
+        self._file.replace(BLOCK, first)
         opening = _manifest_line(FACTS, hashlib.sha256(first).hexdigest(), len(first))
         size = len(opening) + self._lines.tell()
-        self._write(header(MANIFEST, size), opening)
-        seal = hashlib.sha256(opening)
+        seal = hashlib.sha256()
+        self._file.write([header(MANIFEST, size)])
+        self._file.write([opening], seal)
         self._lines.seek(0)
         while chunk := self._lines.read(1 << 20):
-            seal.update(chunk)
-            self._write(chunk)
-        self._write(padding(size))
-        self._put([(SEAL, seal.hexdigest().encode())])
-        self._write(END)
-        os.fsync(self._file.fileno())
+            self._file.write([chunk], seal)
+        self._file.write([padding(size), *_framed(SEAL, seal.hexdigest().encode()), END])
+        self._file.sync()
 
     def close(self) -> None:
         """Stop writing, and give up what is kept besides the file."""
         self._thread.close()
         self._lines.close()
 
-    def _add(self, name: str, pieces: Sequence[bytes]) -> None:
-        body = b"".join(pieces)
-        self._put([(name, body)])
-        self._lines.write(_manifest_line(name, hashlib.sha256(body).hexdigest(), len(body)))
+    def _add(self, name: str, pieces: Sequence[bytes], size: int) -> None:
+        digest = hashlib.sha256()
+        self._file.write([header(name, size)])
+        self._file.write(pieces, digest)
+        self._file.write([padding(size)])
+        self._lines.write(_manifest_line(name, digest.hexdigest(), size))
 
     def _add_images(self, images: Sequence[tuple[str, bytes]]) -> None:
-        self._put([(f"{IMAGE}{digest}", image) for digest, image in images])
+        for digest, image in images:
+            self._file.write(_framed(f"{IMAGE}{digest}", image))
         self._lines.writelines(_manifest_line(f"{IMAGE}{digest}", digest, len(image)) for digest, image in images)
 
-    def _put(self, parts: Sequence[tuple[str, bytes]]) -> None:
-        """Write parts, by their names."""
-        pieces = [piece for name, body in parts for piece in (header(name, len(body)), body, padding(len(body)))]
-        self._write(*pieces)
-        self._end += sum(map(len, pieces))
-        if self._end - self._begun >= WRITTEN_AHEAD and hasattr(os, "posix_fadvise"):  # macOS has none
-            os.posix_fadvise(self._file.fileno(), self._begun, self._end - self._begun, os.POSIX_FADV_DONTNEED)
-            self._begun = self._end
 
-    def _write(self, *pieces: bytes) -> None:
-        whole_files.write(self._file.fileno(), pieces)
+def _framed(name: str, body: bytes) -> tuple[bytes, bytes, bytes]:
+    """A part with its header and what follows it."""
+    return header(name, len(body)), body, padding(len(body))
 
 
 def _as_bytes(facts: SnapshotFacts) -> bytes:
@@ -176,7 +164,8 @@ def _as_bytes(facts: SnapshotFacts) -> bytes:
 
 
 def _manifest_line(name: str, digest: str, size: int) -> bytes:
-    return SnapshotPart(name=name, sha256=digest, size=size).model_dump_json().encode() + b"\n"
+    """The line of a `SnapshotPart`; a snapshot has as many as images."""
+    return b'{"name":"%b","sha256":"%b","size":%d}\n' % (name.encode(), digest.encode(), size)
 
 
 class Source(Protocol):

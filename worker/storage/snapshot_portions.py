@@ -1,7 +1,6 @@
-"""Views of a map in portions, as they go into its snapshot: while images of one are read, so are rows of the next."""
+"""Views of a map in portions, as they go into its snapshot."""
 
 from collections.abc import Collection, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -15,11 +14,8 @@ from worker.storage.image_store import ImageStore, forgets
 from worker.storage.snapshot_rows import WrittenView, first_elapsed, written_views
 from worker.storage.tables import VIEWS
 
-MOST_VIEWS, MOST_BYTES = 64, 8 * 1024 * 1024
-"""Of a portion, and of its images; one that is larger goes alone. Two portions are in memory at once."""
-
-IMAGE_THREADS, TOGETHER = 4, 16
-"""Threads that read images, and images that one of them reads at a time."""
+MOST_VIEWS, MOST_BYTES = 256, 16 * 1024 * 1024
+"""Of a portion, and of its images; one that is larger goes alone. Two portions are in memory at once, or three."""
 
 DAMAGED_DESCRIPTION = (
     "the description of the view {} is damaged, and its map keeps no image to make another from, so that no whole "
@@ -52,14 +48,6 @@ class SizedView(NamedTuple):
     size: int
 
 
-class _Read(NamedTuple):
-    """A view with its image, or why it has neither that nor a description; None: it goes without."""
-
-    seq: int
-    view: WrittenView
-    image: bytes | Damaged | None
-
-
 class Portions:
     """Reads the views of a map by a recipe.
 
@@ -87,52 +75,26 @@ class Portions:
 
     def all(self, views: Sequence[SizedView]) -> Iterator[Portion]:
         """Portions of views that are given in enrolment order; raises Damaged where one cannot be told whole."""
-        with ThreadPoolExecutor(IMAGE_THREADS, "revisit-images") as readers:
-            try:
-                before: list[Future[list[_Read]]] = []
-                for seqs in portions(views):
-                    without = without_image(self._connection, self._map_id, seqs)
-                    rows = written_views(self._connection, seqs, self._recipe, self._since_us)
-                    written = list(zip(seqs, rows, strict=True))
-                    reading = [
-                        readers.submit(self._read, written[at : at + TOGETHER], without)
-                        for at in range(0, len(written), TOGETHER)
-                    ]
-                    if before:
-                        yield self._settled(before)
-                    before = reading
-                if before:
-                    yield self._settled(before)
-            finally:
-                readers.shutdown(wait=False, cancel_futures=True)
+        for seqs in portions(views):
+            without = without_image(self._connection, self._map_id, seqs)
+            yield self._portion(seqs, written_views(self._connection, seqs, self._recipe, self._since_us), without)
 
-    def _read(self, views: list[tuple[int, WrittenView]], without: Collection[int]) -> list[_Read]:
-        """Views with their images, those apart that go without, which need their descriptions."""
-        read = []
-        for seq, view in views:
-            image: bytes | Damaged | None = None
-            if seq in without:
-                if not view.bodies:  # as it is, it could be restored from nothing
-                    image = Damaged(DAMAGED_DESCRIPTION.format(view.id))
-            else:
-                try:
-                    image = self._images.read(view.digest)
-                except Damaged as error:
-                    image = error
-            read.append(_Read(seq, view, image))
-        return read
-
-    def _settled(self, reading: list[Future[list[_Read]]]) -> Portion:
+    def _portion(self, seqs: Sequence[int], views: Sequence[WrittenView], without: Collection[int]) -> Portion:
+        """Views with their images, those in `without` apart, which need their descriptions."""
         portion = Portion()
-        for part in reading:
-            for seq, view, image in part.result():
-                now = self._now(seq, image) if isinstance(image, Damaged) else view
-                if now is None:
-                    portion.left_out.add(seq)
-                    continue
-                portion.views.append(now)
-                if isinstance(image, bytes):
-                    portion.images.append((view.digest, image))
+        wanted = {seq: view.digest for seq, view in zip(seqs, views, strict=True) if seq not in without}
+        images = dict(zip(wanted, self._images.read_each(list(wanted.values())), strict=True))
+        for seq, view in zip(seqs, views, strict=True):
+            image = images.get(seq)
+            if image is None and not view.bodies:  # as it is, it could be restored from nothing
+                image = Damaged(DAMAGED_DESCRIPTION.format(view.id))
+            now = self._now(seq, image) if isinstance(image, Damaged) else view
+            if now is None:
+                portion.left_out.add(seq)
+                continue
+            portion.views.append(now)
+            if isinstance(image, bytes):
+                portion.images.append((view.digest, image))
         return portion
 
     def _now(self, seq: int, why: Damaged) -> WrittenView | None:

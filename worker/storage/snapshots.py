@@ -24,6 +24,7 @@ from worker.storage.snapshot_places import WRITING, SnapshotPlace, drop_drafts
 from worker.storage.snapshot_portions import Portions, SizedView
 from worker.storage.snapshot_rows import comparison_lines
 from worker.storage.tables import CELLS, JOBS, VIEWS as VIEW_ROWS, VOCABULARIES
+from worker.storage.uncached_file import UncachedFile
 
 SAMPLE = 32
 """Descriptions from whose sizes that of all is estimated."""
@@ -75,7 +76,7 @@ class Snapshots(Part, again=False):
             A row or an image that nothing can replace is damaged.
         """
         with translated("snapshots"), self._place.draft(snapshot_id) as draft:
-            with draft.open("wb", buffering=0) as file, self._database.reading() as connection:
+            with UncachedFile(draft) as file, self._database.reading() as connection:
                 views = self._write(connection, file, name, snapshot_id, now, tell)
             tell(views, views)  # who lost the job meanwhile keeps nothing: another may have made it by now
             self._place.keep(draft, snapshot_id, lambda: tell(views, views))
@@ -84,7 +85,7 @@ class Snapshots(Part, again=False):
     def _write(
         self,
         connection: sa.Connection,
-        file: BinaryIO,
+        file: UncachedFile,
         name: str,
         snapshot_id: str,
         now: datetime,

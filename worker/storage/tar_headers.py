@@ -19,11 +19,13 @@ def _blank() -> bytes:
     part = tarfile.TarInfo()
     part.mode = 0o644
     blank = bytearray(part.tobuf(tarfile.GNU_FORMAT, "ascii", "strict"))
-    blank[_SUM] = b" " * 8
+    blank[_SIZE], blank[_SUM] = bytes(12), b" " * 8
     return bytes(blank)
 
 
 _BLANK = _blank()
+_BLANK_SUM = sum(_BLANK)
+_MODE, _TIME, _REST = _BLANK[_NAME.stop : _SIZE.start], _BLANK[_SIZE.stop : _SUM.start], _BLANK[_SUM.stop :]
 
 
 def header(name: str, size: int) -> bytes:
@@ -36,11 +38,9 @@ def header(name: str, size: int) -> bytes:
     """
     if not (0 <= size <= MOST_SIZE and len(name) <= _NAME.stop):
         raise ValueError(f"a part {name!r} of {size} bytes has no header")
-    made = bytearray(_BLANK)
-    made[: len(name)] = name.encode("ascii")
-    made[_SIZE] = b"%011o\0" % size
-    made[_SUM] = b"%06o\0 " % sum(made)
-    return bytes(made)
+    named, sized = name.encode("ascii"), b"%011o\0" % size
+    summed = b"%06o\0 " % (_BLANK_SUM + sum(named) + sum(sized))  # adding up all 512 bytes takes longest
+    return b"".join((named.ljust(_NAME.stop, b"\0"), _MODE, sized, _TIME, summed, _REST))
 
 
 def told(raw: bytes) -> tuple[str, int] | None:
