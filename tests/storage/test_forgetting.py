@@ -14,6 +14,7 @@ from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, fin
 from worker.storage import snapshot_portions
 from worker.storage.examining import examine
 from worker.storage.jobs import ATTEMPTS
+from worker.storage.snapshot_portions import Portion, Portions
 from worker.storage.snapshot_rows import WrittenView
 from worker.storage.store import SqlStore
 from worker.storage.tables import CELLS, MAPS
@@ -208,11 +209,11 @@ def test_a_damaged_description_makes_no_snapshot_until_the_image_is_enrolled_aga
 def test_a_snapshot_that_lacks_the_image_of_a_pending_view_is_refused(
     forgetful: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without_images(self: object, views: list[tuple[int, WrittenView]], without: object) -> list[object]:
-        return [snapshot_portions._Read(seq, view, None) for seq, view in views]
+    def without_images(self: object, seqs: object, views: list[WrittenView], without: object) -> Portion:
+        return Portion(views)
 
     enroll(forgetful, "pending")
-    monkeypatch.setattr(snapshot_portions.Portions, "_read", without_images)  # as a file made by hand would be
+    monkeypatch.setattr(Portions, "_portion", without_images)  # as a file made by hand would be
     with pytest.raises(BadSnapshot, match="is missing"):
         elsewhere.restoring.restore(made(forgetful), None, NOW)
     assert elsewhere.maps.all() == []
