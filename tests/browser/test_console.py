@@ -1,6 +1,7 @@
 """The console as a person uses it, in a real browser on a running service."""
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -62,6 +63,17 @@ def test_a_newcomer_asks_with_a_photo_and_sees_the_place_and_why(opened: Open, q
     tab.page.get_by_text("Everything in one picture").click()
     explanation = tab.page.get_by_alt_text("Explanation of the answer")
     assert explanation.evaluate("image => image.decode().then(() => image.naturalWidth)") == 1600
+
+
+def test_the_plan_of_an_answer_shows_what_is_around_it_wherever_that_is_in_the_map(
+    opened: Open, query_photo: Path
+) -> None:
+    tab = opened()
+    with tab.page.expect_request(re.compile("/views[?].*near=")) as sent:
+        ask(tab, query_photo)
+    x, y, radius = map(float, httpx.URL(sent.value.url).params["near"].split(","))
+    assert (x, y) == pytest.approx(PLACES["mill lane"], abs=2)
+    assert radius >= 2 * max(math.hypot(x - east, y - north) for east, north in PLACES.values())
 
 
 def test_pointing_at_a_region_joins_it_in_both_photos_and_says_how_alike(opened: Open, query_photo: Path) -> None:

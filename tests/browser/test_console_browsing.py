@@ -178,6 +178,14 @@ def test_the_plan_of_a_very_large_map_is_read_on_when_somebody_wants_all(opened:
     assert len(town.read) == 2
 
 
+def test_photos_are_placed_on_the_plan_of_the_whole_map(opened: Open) -> None:
+    tab = opened("enrol")
+    MadeUp(tab, north=500, south=700)
+    tab.page.get_by_label("Map", exact=True).select_option("town")
+    tab.page.get_by_text("Set positions on the plan").click()
+    tab.page.get_by_label("Plan with 1,200 positions").wait_for()
+
+
 def test_an_edited_view_leaves_as_many_findings_as_there_were(opened: Open) -> None:
     tab = opened("service")
     town = MadeUp(tab, north=30)

@@ -99,7 +99,8 @@ function where(answer) {
   const estimate = answer.estimate;
   const picture = plan(points, { circle: estimate && { position: estimate.position, radius: estimate.radius_m } });
   const known = new Set(answer.matches.map((match) => match.view.id));
-  surroundings(answer.map).then(
+  const positions = points.map((point) => point.position);
+  surroundings(answer.map, estimate ? [estimate.position, ...positions] : positions).then(
     (others) => picture.add(others.filter((point) => !known.has(point.id))),
     () => {}, // the plan of the matches alone is a plan too
   );

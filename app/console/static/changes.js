@@ -3,6 +3,7 @@
 import { call } from "./api.js";
 import { announce, field, h, moment, percent, problemBox, sentence } from "./dom.js";
 import { drawing } from "./images.js";
+import { near } from "./plan.js";
 
 const MOST_OTHERS = 100;
 
@@ -94,13 +95,13 @@ async function others(view, within) {
   const query = { map: view.map, state: "ready", limit: MOST_OTHERS };
   if (place !== null) query.place = place;
   else if (within === 0) return []; // only a name makes one place of two views there
-  else if (isNumber(position?.x)) query.near = `${position.x},${position.y},${within}`;
-  else if (isNumber(position?.lat))
-    Object.assign(query, { near: `${position.lat},${position.lon},${within}`, frame: "geo" });
-  else return [];
+  else {
+    const around = near(position, within);
+    if (!around) return [];
+    Object.assign(query, around);
+  }
   const { views } = await call("GET", "/views", { query });
   return views.filter((one) => one.id !== view.id).sort((one, other) => (taken(one) < taken(other) ? -1 : 1));
 }
 
 const taken = (view) => view.captured_at ?? view.enrolled_at;
-const isNumber = (value) => typeof value === "number";

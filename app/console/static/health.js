@@ -5,7 +5,7 @@ import { chooseMap } from "./choice.js";
 import { count, facts, folded, h, place as inWords, problemBox, screenProblem, sentence, table } from "./dom.js";
 import { image, thumbnail } from "./images.js";
 import { mapHead } from "./parts.js";
-import { plan, surroundings } from "./plan.js";
+import { outline, plan } from "./plan.js";
 import { openView } from "./view.js";
 
 const AT_FIRST = 20;
@@ -200,7 +200,8 @@ export function healthScreen(name) {
       .filter((one) => one.position)
       .map((one) => ({ position: one.position, kind: "first", name: one.places.join(" – ") }));
     const picture = plan(points);
-    surroundings(name).then(picture.add, () => {}); // the plan of the gaps alone is a plan too
+    // The plan of the gaps alone is a plan too.
+    if (points.length) outline(name, picture.add, () => picture.element.isConnected).catch(() => {});
     return h("div", {}, points.length > 0 && picture.element, pictured(first, all, total));
   }
 

@@ -1,7 +1,7 @@
 // Positions of photos by a click on the map's plan.
 
 import { h, problemBox } from "./dom.js";
-import { plan, surroundings } from "./plan.js";
+import { outline, plan } from "./plan.js";
 
 /**
  * Details with the plan of a map. `map()` promises its name, `next()` gives the photo that is placed now,
@@ -18,19 +18,22 @@ export function placing(map, next) {
   async function draw() {
     const mine = ++drawn;
     if (!element.open) return;
+    const { element: picture, add } = plan([], { placed });
+    let shown = false;
+    const show = (points) => {
+      if (!points.length) return;
+      add(points);
+      if (shown) return;
+      shown = true;
+      body.replaceChildren(said, picture);
+      told();
+    };
     try {
-      const points = await surroundings(await map()).catch((error) => {
-        if (error.status === 404) return []; // a map that is made by its first photo
-        throw error;
+      await outline(await map(), show, () => mine === drawn).catch((error) => {
+        if (error.status !== 404) throw error; // a map that is made by its first photo has none
       });
       if (mine !== drawn) return; // another map was chosen meanwhile
-      const { element: picture } = plan(points, { placed });
-      body.replaceChildren(
-        ...(points.length
-          ? [said, picture]
-          : ["This map has no positions yet: the first ones come from fields or a CSV file."]),
-      );
-      told();
+      if (!shown) body.replaceChildren("This map has no positions yet: the first ones come from fields or a CSV file.");
     } catch (error) {
       body.replaceChildren(problemBox(error));
     }

@@ -1,6 +1,6 @@
 // A plan of positions, drawn without tiles: metres of the map's frame, or degrees laid flat around their middle.
 
-import { call } from "./api.js";
+import { call, pages } from "./api.js";
 import { count, h } from "./dom.js";
 
 const METRES_PER_DEGREE = 111_320;
@@ -8,6 +8,9 @@ const MARGIN = 28;
 const NEAR_PX = 14;
 const MANY = 2000; // points that take a while to draw
 const REDRAWN_MS = 400;
+const PAGE = 500;
+const MOST = 10_000; // views that give a map its shape
+const AROUND_M = 50;
 
 /** Degrees of longitude within 180 of 0: positions on both sides of the date line are near each other. */
 const turned = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
@@ -198,10 +201,31 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
   };
 }
 
-/** Points for the views of a map that have a position: of the first page, which gives a map its shape. */
-export async function surroundings(map) {
-  const { views } = await call("GET", "/views", { query: { map, limit: 500 } });
+/** Points for views of a map around some positions, the first of them in the middle. */
+export async function surroundings(map, positions) {
+  const [middle] = positions;
+  const spots = positions.map((one) => flat(one, middle)).filter(Boolean);
+  const far = Math.max(...spots.map(([x, y]) => Math.hypot(x - spots[0][0], y - spots[0][1])));
+  const query = { map, limit: PAGE, ...near(middle, Math.max(AROUND_M, 2 * far)) };
+  const { views } = await call("GET", "/views", { query });
   return views.filter((view) => view.position).map(pointOf);
+}
+
+/** Give `add` the points for the views of a map that have a position, page by page, while they are `wanted`. */
+export async function outline(map, add, wanted) {
+  const list = pages("/views", { map, limit: PAGE });
+  for (let read = 0; read < MOST; read += PAGE) {
+    const { value, done } = await list.next();
+    if (done || !wanted()) return;
+    add(value.views.filter((view) => view.position).map(pointOf));
+  }
+}
+
+/** Parameters of a list of the views within some metres of a position; null where that has no coordinates. */
+export function near(position, within) {
+  if (typeof position?.x === "number") return { near: `${position.x},${position.y},${within}` };
+  if (typeof position?.lat === "number") return { near: `${position.lat},${position.lon},${within}`, frame: "geo" };
+  return null;
 }
 
 /** A view as a point of a plan. */
