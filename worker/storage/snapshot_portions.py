@@ -14,7 +14,7 @@ from worker.storage.image_store import ImageStore, forgets
 from worker.storage.snapshot_rows import WrittenView, first_elapsed, written_views
 from worker.storage.tables import VIEWS
 
-MOST_VIEWS, MOST_BYTES = 256, 16 * 1024 * 1024
+MOST_VIEWS, MOST_BYTES = 128, 16 * 1024 * 1024
 """Of a portion, and of its images; one that is larger goes alone. Two portions are in memory at once, or three."""
 
 DAMAGED_DESCRIPTION = (
