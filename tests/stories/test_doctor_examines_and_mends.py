@@ -163,6 +163,26 @@ def test_whatever_is_in_the_folder(kind: str, data: Path, capsys: pytest.Capture
     assert told.startswith("done\n")
 
 
+@pytest.mark.parametrize(("revision", "remedy"), [("0022", "./revisit migrate"), ("9999", "run the newer version")])
+def test_tables_of_another_version_are_no_damage(
+    revision: str, remedy: str, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with closing(sqlite3.connect(data / "revisit.db")) as connection, connection:
+        connection.execute("DROP TABLE deleted_images")  # which another version has not, or has no longer
+        connection.execute("UPDATE alembic_version SET version_num = ?", [revision])
+    before = content_of(data)
+    for flags in [], ["--repair"]:
+        code, told = doctor(data, capsys, *flags)
+        assert (code, told.rpartition("\n  ")[2].endswith(f"{remedy}\n")) == (1, True)
+    assert "nothing: there was nothing to mend" in told
+    assert content_of(data).items() >= before.items()
+    break_page(data)
+    before = content_of(data)
+    code, told = doctor(data, capsys, "--repair")
+    assert (code, f"its tables are at {revision}, which only the version" in told) == (1, True)
+    assert content_of(data).items() >= before.items()
+
+
 def test_a_corrupt_page_costs_what_was_on_it_and_that_is_described_again(
     data: Path, capsys: pytest.CaptureFixture[str], made: tuple[Path, dict[str, Known]]
 ) -> None:

@@ -108,6 +108,12 @@ def _mend_file(url: str, done: list[str]) -> bool:
     if blocked is None and _reindexed(url):
         done.append(f"{path}: its indexes were built anew")
         return lost
+    if blocked is None and (other := _other_revision(url)) is not None:
+        done.append(
+            f"{path}: is damaged, and its tables are at {other}, which only the version of revisit that made it can "
+            "mend: nothing was done"
+        )
+        return lost
     if path.stat().st_size == 0:
         return lost
     if (told := _salvage(path)) is None:
@@ -134,9 +140,23 @@ def _is_malformed(url: str) -> bool:
         with engine.connect() as connection:
             names = set(sa.inspect(connection).get_table_names())
         found = any(finding.where == "database" for finding in structure_findings(engine))
-        return found or (bool(names) and not METADATA.tables.keys() <= names)
+        whole = not names or METADATA.tables.keys() <= names or _other_revision(url) is not None
+        return found or not whole
     except UNREADABLE:
         return True
+    finally:
+        engine.dispose()
+
+
+def _other_revision(url: str) -> str | None:
+    """The revision of a database's tables if another version made them, with others than this one's; else None."""
+    engine = dialect.make_reader(url)
+    try:
+        with engine.connect() as connection:
+            found = migrating.current(connection)
+        return None if found == migrating.newest() else found
+    except UNREADABLE:
+        return None
     finally:
         engine.dispose()
 
