@@ -213,9 +213,13 @@ def test_a_corrupt_page_costs_what_was_on_it_and_that_is_described_again(
         ("UPDATE views SET state = 'pending' WHERE seq = 1", "is pending"),
         ("UPDATE maps SET ranking = '{}' WHERE name = 'town'", "map 'town'"),
         ("UPDATE maps SET revision = 10000 WHERE name = 'town'", "map 'town'"),
+        ("UPDATE maps SET revision = 'ten' WHERE name = 'town'", "map 'town'"),
+        ("UPDATE maps SET revision = 9223372036854775807 WHERE name = 'town'", "map 'town'"),
+        ("UPDATE descriptions SET revision = 'ten' WHERE seq = 1", "its description"),
         ("UPDATE comparisons SET level = 0.5 WHERE seq = 1", "of comparisons"),
         ("UPDATE jobs SET finished_at = '2020-01-01 00:00:00.000000' WHERE number = 1", "of jobs"),
         ("UPDATE clock SET revision = 0", "clock"),
+        ("UPDATE clock SET revision = 'ten'", "clock"),
         ("DELETE FROM metadata_pairs WHERE seq = 1 AND pair = (SELECT min(pair) FROM metadata_pairs)", "metadata"),
     ],
 )

@@ -42,6 +42,9 @@ from worker.storage.tables import (
     VOCABULARIES,
 )
 
+MOST_REVISION = 2**62
+"""No database comes this far; what is beyond is damage, as is text, which SQLite takes for more than any number."""
+
 DISPENSABLE = {  # what it means that such a row is removed
     COMPARISONS: "it is made again in the background",
     JOBS: "what it had to do is queued again where it is needed",
@@ -108,7 +111,8 @@ def scan(connection: sa.Connection, table: sa.TableClause) -> Iterator[Any]:
 def _clock(connection: sa.Connection) -> Iterator[Finding]:
     row = connection.execute(sa.select(CLOCK)).one_or_none()
     highest = max(
-        connection.scalar(sa.select(sa.func.max(table.c.revision))) or 0 for table in (MAPS, DESCRIPTIONS, TOMBSTONES)
+        connection.scalar(sa.select(sa.func.max(table.c.revision)).where(table.c.revision < MOST_REVISION)) or 0
+        for table in (MAPS, DESCRIPTIONS, TOMBSTONES)
     )
 
     def mend(connection: sa.Connection) -> str:
@@ -118,7 +122,7 @@ def _clock(connection: sa.Connection) -> Iterator[Finding]:
 
     if row is None or row.checksum is None or not checksums.is_whole(CLOCK, row, row.checksum):
         yield Finding("clock of revisions", "is missing or damaged", REPAIR, mend)
-    elif isinstance(highest, int) and row.revision < highest:
+    elif row.revision < highest:
         yield Finding("clock of revisions", f"is at {row.revision}, behind revision {highest}", REPAIR, mend)
 
 
@@ -133,12 +137,13 @@ def _recipes(connection: sa.Connection) -> Iterator[Finding]:
 
 
 def _maps(connection: sa.Connection) -> Iterator[Finding]:
-    now = clock.read(connection)
+    now = connection.scalar(sa.select(CLOCK.c.revision))
+    last = (now,) if isinstance(now, int) else ()
     for row in connection.execute(sa.select(MAPS)):
         where = f"map {row.name!r}"
         if row.checksum is None or not checksums.is_whole(MAPS, row, row.checksum):
             yield Finding(where, "its settings do not fit their checksum", REPAIR, _mend_map(row))
-        elif not _are_in_order(row.anew, row.revision, now) or not _are_in_order(row.edited, row.revision):
+        elif not _are_in_order(row.anew, row.revision, *last) or not _are_in_order(row.edited, row.revision):
             of = f"{row.revision}, {row.anew} and {row.edited}"
             yield Finding(where, f"its revisions {of} cannot be", REPAIR, _mend_revision(row))
         elif row.shadow is not None and not _has_job(connection, row):
