@@ -109,6 +109,19 @@ def test_the_doctor_calls_none_of_them_orphans_and_removes_none(place: Place, ot
     assert place.store.views.image(theirs.id) == image("gate")
 
 
+def test_the_doctor_keeps_what_a_new_database_takes_none_of(place: Place, other: SqlStore) -> None:
+    theirs = enroll(place.store, "gate").view  # by a version that told nobody
+    other.recover()
+    url, folder = str(other._database.engine.url), other._data
+    other.close()
+
+    findings = [finding.what for finding in examine(url, folder, images=place.address)]
+    repair(url, folder, images=place.address)
+
+    assert findings == ["holds images already, and nothing was ever enrolled into the database"]
+    assert place.store.views.image(theirs.id) == image("gate")
+
+
 @pytest.mark.parametrize("place", ["objects", "objects, postgresql"], indirect=True)
 def test_recordings_and_snapshots_of_another_database_are_not_swept(
     place: Place, other: SqlStore, monkeypatch: pytest.MonkeyPatch

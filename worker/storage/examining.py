@@ -16,7 +16,7 @@ from worker.storage.examining_images import image_findings
 from worker.storage.examining_objects import last_sign, object_findings
 from worker.storage.examining_rows import row_findings
 from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
-from worker.storage.ownership import id_of
+from worker.storage.ownership import id_of, is_new
 from worker.storage.signs import is_elsewhere
 from worker.storage.tables import METADATA
 
@@ -47,6 +47,7 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
         return
     owners: dict[str, str] | None = None
     own: str | None = None
+    new = False
     sign = None if images is None else last_sign(images)  # before the count that it is compared with
     elsewhere = False
     path = database_file(url)
@@ -66,6 +67,7 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
                     owners = {}
                     with engine.connect() as connection:
                         own, elsewhere = id_of(connection), is_elsewhere(sign, connection)
+                        new = is_new(connection)
                     yield from row_findings(engine, owners)
         except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
             yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
@@ -73,9 +75,9 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
         finally:
             engine.dispose()
     if images is None:
-        yield from image_findings(data / "pictures", owners, own, running=running)
+        yield from image_findings(data / "pictures", owners, own, running=running, new=new)
     else:
-        yield from object_findings(images, owners, own, running=running, elsewhere=elsewhere)
+        yield from object_findings(images, owners, own, running=running, elsewhere=elsewhere, new=new)
 
 
 def database_file(url: str) -> Path | None:

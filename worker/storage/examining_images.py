@@ -15,6 +15,8 @@ ORPHAN = "belongs to no view"
 LEFTOVER = "was left unfinished by a crash"
 FOREIGN = "says that the images are of another database"
 THEIRS = "see REVISIT_DATABASE; if that one is gone, remove this: the next start removes images that no view here needs"
+NEW = "holds images already, and nothing was ever enrolled into the database"
+LOST = "see REVISIT_DATABASE; if the file of the database was lost, restore a backup of it"
 
 
 def is_foreign(owner: str | None, own: str | None) -> bool:
@@ -23,7 +25,7 @@ def is_foreign(owner: str | None, own: str | None) -> bool:
 
 
 def image_findings(
-    folder: Path, owners: dict[str, str] | None, own: str | None, *, running: bool = False
+    folder: Path, owners: dict[str, str] | None, own: str | None, *, running: bool = False, new: bool = False
 ) -> Iterator[Finding]:
     """Findings of all files of images.
 
@@ -36,6 +38,8 @@ def image_findings(
         Id of the database.
     running : bool
         Whether a service uses the folder: it may be writing or removing files just now.
+    new : bool
+        Whether nothing was ever enrolled into the database, so that images which nobody has taken are not its.
     """
     if not os.access(folder, os.R_OK | os.X_OK):
         if folder.exists() or owners:
@@ -43,13 +47,17 @@ def image_findings(
         return
     missing = dict(owners or {})
     try:
-        foreign = is_foreign(owner_of(folder), own)
+        owner = owner_of(folder)
+        foreign = is_foreign(owner, own)
     except OSError as error:
         yield Finding(str(folder / OWNER), f"cannot be read ({error.strerror})", "see its permissions")
         foreign = True
     else:
         if foreign:
             yield Finding(str(folder / OWNER), FOREIGN, THEIRS)
+        elif owner is None and new and not running and any(DIGEST.fullmatch(one.name) for one in files_below(folder)):
+            yield Finding(str(folder), NEW, LOST)
+            foreign = True
     for path in files_below(folder):
         name = str(path.relative_to(folder.parent))
         digest = path.name

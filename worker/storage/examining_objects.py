@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from functools import partial
 
 from schemas.errors import Damaged, RevisitError, SetupError
-from worker.storage.examining_images import AGAIN, FOREIGN, ORPHAN, THEIRS, is_foreign
+from worker.storage.examining_images import AGAIN, FOREIGN, LOST, NEW, ORPHAN, THEIRS, is_foreign
 from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
@@ -20,7 +20,13 @@ COPIES = "see REVISIT_DATABASE and REVISIT_IMAGES; if this one was restored just
 
 
 def object_findings(
-    address: str, owners: dict[str, str] | None, own: str | None, *, running: bool = False, elsewhere: bool = False
+    address: str,
+    owners: dict[str, str] | None,
+    own: str | None,
+    *,
+    running: bool = False,
+    elsewhere: bool = False,
+    new: bool = False,
 ) -> Iterator[Finding]:
     """Findings of all images of a store.
 
@@ -36,6 +42,8 @@ def object_findings(
         Whether a service of this folder runs: it may be writing or removing objects just now.
     elsewhere : bool
         Whether another copy of the database works on them.
+    new : bool
+        As in `image_findings`.
     """
     try:
         objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext())
@@ -43,12 +51,16 @@ def object_findings(
         yield Finding(address, "cannot be examined", str(error))
         return
     try:
-        foreign = is_foreign(objects.owner(), own)
+        owner = objects.owner()
+        lost = owner is None and new and not running and objects.holds_any()
+        foreign = is_foreign(owner, own)
         if foreign:
             yield Finding(objects.owner_name, FOREIGN, THEIRS)
+        elif lost:
+            yield Finding(address, NEW, LOST)
         elif elsewhere:
             yield Finding(f"{objects.address}/{ALIVE}", COPY, COPIES)
-        yield from _findings(objects, address, owners, running or foreign or elsewhere)
+        yield from _findings(objects, address, owners, running or foreign or lost or elsewhere)
     except RevisitError as error:
         yield Finding(address, "cannot be examined", error.detail)
     finally:

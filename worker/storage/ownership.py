@@ -9,11 +9,10 @@ import uuid
 import sqlalchemy as sa
 
 from schemas.errors import Damaged, RevisitError, SetupError
-from worker.storage import clock
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.rows import log
-from worker.storage.tables import INSTALLATION, VIEWS
+from worker.storage.tables import CLOCK, INSTALLATION, VIEWS
 
 
 def refuse_foreign(database: Database, images: ImageStore) -> None:
@@ -44,7 +43,7 @@ def is_own(database: Database, images: ImageStore) -> bool:
     except Damaged as error:
         log.error("whose images these are cannot be read, and none is removed: %s", error.detail)
         return False
-    if owner is None and _is_new(database) and images.holds_any():  # told by no version before
+    if owner is None and _is_begun_anew(database) and images.holds_any():  # told by no version before
         log.error(
             "the database is new, and there are images already, which are kept: stop the service if REVISIT_DATABASE "
             "is not the one that they belong to, or if its file was lost"
@@ -72,7 +71,12 @@ def _own_id(database: Database) -> str:
     return found
 
 
-def _is_new(database: Database) -> bool:
-    """Whether nothing was ever enrolled into this database."""
+def _is_begun_anew(database: Database) -> bool:
     with database.reading() as connection:
-        return clock.read(connection) == 0 and not connection.scalar(sa.select(sa.exists(sa.select(VIEWS.c.id))))
+        return is_new(connection)
+
+
+def is_new(connection: sa.Connection) -> bool:
+    """Whether nothing was ever enrolled into a database: images that nobody has taken are not its."""
+    last = connection.scalar(sa.select(CLOCK.c.revision))
+    return last in (None, 0) and not connection.scalar(sa.select(sa.exists(sa.select(VIEWS.c.id))))
