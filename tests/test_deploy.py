@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import re
 import shutil
 import subprocess
@@ -123,6 +124,21 @@ def test_both_units_run_commands_that_there_are_and_differ_in_nothing_else() -> 
     kept = [[line for line in unit.splitlines() if line.partition("=")[0] not in own | {""} and line[0] != "#"]
             for unit in (serve, work)]  # fmt: skip
     assert kept[0] == kept[1]
+
+
+def test_a_start_that_takes_long_is_waited_for_no_longer_but_not_killed() -> None:
+    """A large database is migrated for minutes, and with a full disk the service is never ready."""
+    unit = (ROOT / "deploy" / "revisit.service").read_text()
+    [(bound, line)] = re.findall(r"^ExecStartPost=-/usr/bin/timeout (\d+) /bin/sh -c '(.*)'$", unit, re.MULTILINE)
+    [killed] = re.findall(r"^TimeoutStartSec=(\d+)$", unit, re.MULTILINE)
+    assert int(bound) + 20 < int(killed)
+    ended = subprocess.Popen(["/bin/true"])
+    ended.wait()
+    for healthy, main, code in (("false", os.getpid(), 124), ("true", os.getpid(), 0), ("false", ended.pid, 0)):
+        told = line.replace("/opt/revisit/revisit healthcheck", healthy)
+        assert told != line
+        waiting = ["timeout", "2", "/bin/sh", "-c", told]
+        assert subprocess.run(waiting, env=os.environ | {"MAINPID": str(main)}, check=False).returncode == code
 
 
 def test_neither_unit_waits_for_the_other() -> None:
