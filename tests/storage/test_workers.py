@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from schemas.errors import DiskFull, LeaseLost
 from schemas.records import WorkerRecord
 from tests.storage.material import NOW, enroll, finish
+from worker.service import attendance
 from worker.service.attendance import ROUNDS, Attendance, this_process
 from worker.storage.store import SqlStore
 
@@ -88,6 +90,24 @@ def test_a_process_of_this_machine_that_is_gone_is_noticed_in_the_next_round(sto
     watching(store)._round()
     assert [worker.name for worker in store.workers.present() if worker.name == "dead"] == []
     assert len(store.jobs.claim("mine", 1)) == 1
+
+
+def test_machines_made_from_one_image_do_not_take_each_other_s_processes_for_gone(
+    store: SqlStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have one name, and process ids of one and the same namespace: that of every system which is no container."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    (tmp_path / "boot_id").write_text("of the other machine\n")
+    with monkeypatch.context() as there:
+        there.setattr(attendance, "BOOT", tmp_path / "boot_id")
+        other = replace(this_process("worker"), pid=process.pid)
+    enroll(store, "gate")
+    store.workers.beat(other, NOW)
+    [claim] = store.jobs.claim(other.name, 1)
+    watching(store)._round()
+    assert other.name in [worker.name for worker in store.workers.present()]
+    finish(store, claim)
 
 
 def test_an_image_that_ends_three_workers_is_given_up(store: SqlStore) -> None:

@@ -19,6 +19,9 @@ log = logging.getLogger("revisit.worker")
 ROUNDS = 5
 """Rounds without a sign of life after which a worker counts as dead."""
 
+BOOT = Path("/proc/sys/kernel/random/boot_id")
+"""Has an id that the system gave itself when it was started."""
+
 
 class WorkerRows(Protocol):
     """Signs of life in the store."""
@@ -64,14 +67,15 @@ class Works(Protocol):
 
 def this_process(kind: str) -> WorkerRecord:
     """A worker in this process, under a name that no other process has or had."""
-    host, pid = f"{platform.node()}/{_pid_namespace()}", os.getpid()
+    host, pid = f"{platform.node()}/{_whose_process_ids()}", os.getpid()
     return WorkerRecord(f"{platform.node()}:{pid}:{secrets.token_hex(4)}", kind, host, pid, beats=0)
 
 
-def _pid_namespace() -> str:
-    """Containers may share the name of their host, but not its process ids."""
+def _whose_process_ids() -> str:
+    """Of which started system, and which container in it, the process ids are: several may have one name, as machines
+    made from one image do; empty where that cannot be read."""
     try:
-        return Path("/proc/self/ns/pid").readlink().name
+        return f"{BOOT.read_text().strip()}/{Path('/proc/self/ns/pid').readlink().name}"
     except OSError:
         return ""
 
