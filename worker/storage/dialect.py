@@ -212,6 +212,13 @@ def for_reading(connection: sa.Connection) -> sa.Connection:
     return connection
 
 
+def begin_reading(connection: sa.Connection) -> None:
+    """Have a connection of `make_reader` read one snapshot from here to the end of its transaction: Python's driver for
+    SQLite begins none by itself."""
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql("BEGIN")
+
+
 def for_writing(connection: sa.Connection) -> sa.Connection:
     """A connection whose transaction writes from its beginning."""
     if connection.dialect.name == "postgresql":  # after its turn has come each statement sees earlier commits

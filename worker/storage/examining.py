@@ -6,6 +6,7 @@ Nothing that lies in the folder makes an examination raise: what cannot be read 
 import os
 import sqlite3
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -16,6 +17,7 @@ from worker.storage.examining_images import image_findings
 from worker.storage.examining_objects import last_sign, object_findings
 from worker.storage.examining_rows import row_findings
 from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
+from worker.storage.image_store import needed_among
 from worker.storage.ownership import id_of, is_new
 from worker.storage.signs import is_elsewhere
 from worker.storage.tables import METADATA
@@ -74,10 +76,23 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
             owners = None
         finally:
             engine.dispose()
+    # Of a service that runs some views are deleted after they were read, and their images with them.
+    needed = partial(_needed_now, url) if running and owners is not None else None
     if images is None:
-        yield from image_findings(data / "pictures", owners, own, running=running, new=new)
+        yield from image_findings(data / "pictures", owners, own, running=running, new=new, needed=needed)
     else:
-        yield from object_findings(images, owners, own, running=running, elsewhere=elsewhere, new=new)
+        yield from object_findings(images, owners, own, running=running, elsewhere=elsewhere, new=new, needed=needed)
+
+
+def _needed_now(url: str, digests: list[str]) -> set[str]:
+    engine = dialect.make_reader(url)
+    try:
+        with engine.connect() as connection:
+            return needed_among(connection, digests)
+    except (sa.exc.SQLAlchemyError, sqlite3.Error):
+        return set(digests)
+    finally:
+        engine.dispose()
 
 
 def database_file(url: str) -> Path | None:

@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from worker.storage.finding import REPAIR, Finding
@@ -18,6 +18,8 @@ THEIRS = "see REVISIT_DATABASE; if that one is gone, remove this: the next start
 NEW = "holds images already, and nothing was ever enrolled into the database"
 LOST = "see REVISIT_DATABASE; if the file of the database was lost, restore a backup of it"
 
+Needed = Callable[[list[str]], set[str]]
+
 
 def is_foreign(owner: str | None, own: str | None) -> bool:
     """Whether images are of another database than that with the id `own`; where either is unknown, they are not."""
@@ -25,7 +27,13 @@ def is_foreign(owner: str | None, own: str | None) -> bool:
 
 
 def image_findings(
-    folder: Path, owners: dict[str, str] | None, own: str | None, *, running: bool = False, new: bool = False
+    folder: Path,
+    owners: dict[str, str] | None,
+    own: str | None,
+    *,
+    running: bool = False,
+    new: bool = False,
+    needed: Needed | None = None,
 ) -> Iterator[Finding]:
     """Findings of all files of images.
 
@@ -40,12 +48,15 @@ def image_findings(
         Whether a service uses the folder: it may be writing or removing files just now.
     new : bool
         Whether nothing was ever enrolled into the database, so that images which nobody has taken are not its.
+    needed : function or None
+        Which of these digests views need by now; None: those of `owners`.
     """
     if not os.access(folder, os.R_OK | os.X_OK):
         if folder.exists() or owners:
             yield Finding(str(folder), "is missing or cannot be read", "see its permissions, or restore a backup")
         return
     missing = dict(owners or {})
+    bad: dict[str, Finding] = {}
     try:
         owner = owner_of(folder)
         foreign = is_foreign(owner, own)
@@ -72,12 +83,20 @@ def image_findings(
         else:
             view = missing.pop(digest, None)
             if (fault := _fault(path)) is not None:
-                yield Finding(name, f"{fault}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}")
+                of = view or "no view"
+                bad[digest] = Finding(name, f"{fault}; it is the image of {of}", f"cannot be mended: {AGAIN}")
             elif owners is not None and view is None and not running and not foreign:
                 yield Finding(name, ORPHAN, f"{REPAIR} removes it")
     for digest, view in missing.items():
         shown = f"pictures/{digest[:2]}/{digest[2:4]}/{digest}" if DIGEST.fullmatch(digest) else repr(digest)
-        yield Finding(shown, f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
+        bad[digest] = Finding(shown, f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
+    yield from still_needed(bad, needed)
+
+
+def still_needed(bad: Mapping[str, Finding], needed: Needed | None) -> Iterator[Finding]:
+    """Findings of images, by their digests, but for those that no view needs any longer."""
+    wanted = bad.keys() if needed is None else needed(list(bad))
+    return (finding for digest, finding in bad.items() if digest in wanted)
 
 
 def files_below(folder: Path) -> Iterator[Path]:

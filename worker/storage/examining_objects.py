@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from functools import partial
 
 from schemas.errors import Damaged, RevisitError, SetupError
-from worker.storage.examining_images import AGAIN, FOREIGN, LOST, NEW, ORPHAN, THEIRS, is_foreign
+from worker.storage.examining_images import AGAIN, FOREIGN, LOST, NEW, ORPHAN, THEIRS, Needed, is_foreign, still_needed
 from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
@@ -27,6 +27,7 @@ def object_findings(
     running: bool = False,
     elsewhere: bool = False,
     new: bool = False,
+    needed: Needed | None = None,
 ) -> Iterator[Finding]:
     """Findings of all images of a store.
 
@@ -43,6 +44,7 @@ def object_findings(
     elsewhere : bool
         Whether another copy of the database works on them.
     new : bool
+    needed : function or None
         As in `image_findings`.
     """
     try:
@@ -60,7 +62,7 @@ def object_findings(
             yield Finding(address, NEW, LOST)
         elif elsewhere:
             yield Finding(f"{objects.address}/{ALIVE}", COPY, COPIES)
-        yield from _findings(objects, address, owners, running or foreign or lost or elsewhere)
+        yield from _findings(objects, address, owners, running or foreign or lost or elsewhere, needed)
     except RevisitError as error:
         yield Finding(address, "cannot be examined", error.detail)
     finally:
@@ -81,8 +83,11 @@ def last_sign(address: str) -> Sign | None:
         objects.close()
 
 
-def _findings(objects: ImageObjects, address: str, owners: dict[str, str] | None, running: bool) -> Iterator[Finding]:
+def _findings(
+    objects: ImageObjects, address: str, owners: dict[str, str] | None, running: bool, needed: Needed | None
+) -> Iterator[Finding]:
     missing = dict(owners or {})
+    bad: dict[str, Finding] = {}
     placed: list[str] = []
     for name in objects.names():
         digest = name.rpartition("/")[2]
@@ -96,11 +101,14 @@ def _findings(objects: ImageObjects, address: str, owners: dict[str, str] | None
             where = f"{address}/{digest[:2]}/{digest[2:4]}/{digest}"
             view = missing.pop(digest, None)
             if fault is not None:
-                yield Finding(where, f"{fault}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}")
+                of = view or "no view"
+                bad[digest] = Finding(where, f"{fault}; it is the image of {of}", f"cannot be mended: {AGAIN}")
             elif owners is not None and view is None and not running:
                 yield Finding(where, ORPHAN, f"{REPAIR} removes it")
     for digest, view in missing.items():
-        yield Finding(f"{address}/{digest}", f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
+        what = f"is missing; it is the image of {view}"
+        bad[digest] = Finding(f"{address}/{digest}", what, f"cannot be mended: {AGAIN}")
+    yield from still_needed(bad, needed)
 
 
 def _fault(objects: ImageObjects, digest: str) -> str | None:

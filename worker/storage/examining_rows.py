@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged
 from schemas.recipe import RankingConfig
-from worker.storage import checksums, clock, damage, switching
+from worker.storage import checksums, clock, damage, dialect, switching
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import metadata_pairs
 from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
@@ -56,8 +56,12 @@ DISPENSABLE = {  # what it means that such a row is removed
 
 
 def row_findings(engine: sa.Engine, owners: dict[str, str]) -> Iterator[Finding]:
-    """Findings of all tables; fills `owners`: SHA-256 of each image to the views that need it, as text."""
-    with engine.connect() as connection:
+    """Findings of all tables; fills `owners`: SHA-256 of each image to the views that need it, as text.
+
+    All of them are read as they are at one moment: beside a service they would not fit each other otherwise.
+    """
+    with engine.connect() as plain, dialect.for_reading(plain) as connection, connection.begin():
+        dialect.begin_reading(connection)
         yield from _clock(connection)
         yield from _recipes(connection)
         yield from _maps(connection)

@@ -113,11 +113,16 @@ def _forgetting(connection: sa.Connection) -> list[int]:
 
 def needed_by_views(database: Database, digests: list[str]) -> set[str]:
     """The digests among `digests` that views need."""
-    found: set[str] = set()
     with database.reading() as connection:
-        for portion in batches(digests):
-            needed = sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion), needs_image(connection))
-            found.update(connection.scalars(needed))
+        return needed_among(connection, digests)
+
+
+def needed_among(connection: sa.Connection, digests: list[str]) -> set[str]:
+    """The same, by a connection."""
+    found: set[str] = set()
+    for portion in batches(digests):
+        needed = sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion), needs_image(connection))
+        found.update(connection.scalars(needed))
     return found
 
 
