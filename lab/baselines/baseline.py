@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -32,6 +32,13 @@ class Baseline(Protocol):
         ...
 
 
+@runtime_checkable
+class Decoding(Protocol):
+    """A baseline that reads images by other means than `grey`, which decide what can be decoded."""
+
+    decode: Callable[[Path], object]
+
+
 def rank_readable(
     baseline: Baseline, database: Sequence[Path], queries: Sequence[Path], tick: Tick
 ) -> tuple[Floats, int]:
@@ -41,7 +48,8 @@ def rank_readable(
     """
     with suppress(BadImage):
         return baseline.rank(database, queries, tick), 0
-    kept = [[i for i, path in enumerate(paths) if _readable(path)] for paths in (database, queries)]
+    decode = baseline.decode if isinstance(baseline, Decoding) else grey
+    kept = [[i for i, path in enumerate(paths) if _readable(path, decode)] for paths in (database, queries)]
     distances = np.full((len(queries), len(database)), np.inf, np.float32)
     if all(kept):
         known, queried = kept
@@ -66,6 +74,17 @@ def rgb(path: Path) -> npt.NDArray[np.uint8]:
     return _decoded(path, cv2.IMREAD_COLOR_RGB)
 
 
+def orb(pixels: npt.NDArray[np.uint8], count: int) -> tuple[Sequence[cv2.KeyPoint], npt.NDArray[np.uint8] | None]:
+    """ORB keypoints of a grey image, at most `count`, and their descriptors; none of one that is a pixel wide or high.
+
+    OpenCV fails on an assertion there: a level of the pyramid would have no pixel.
+    """
+    if min(pixels.shape) < 2:
+        return (), None
+    keypoints, descriptors = cv2.ORB.create(nfeatures=count).detectAndCompute(pixels, None)
+    return keypoints, descriptors
+
+
 def city_block(database: Floats, queries: Floats) -> Floats:
     """Sums of absolute differences, float32 (queries, database), of descriptors (images, dimensions)."""
     return np.stack([np.abs(database - q).sum(axis=1, dtype=np.float32) for q in queries])
@@ -86,9 +105,9 @@ def described(images: Iterable[Path], describe: Callable[[Path], Floats], tick: 
     return np.stack(rows)
 
 
-def _readable(path: Path) -> bool:
+def _readable(path: Path, decode: Callable[[Path], object]) -> bool:
     with suppress(BadImage):
-        grey(path)
+        decode(path)
         return True
     return False
 

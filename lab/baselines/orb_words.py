@@ -6,11 +6,10 @@ A flat vocabulary of k-means on the bits instead of DBoW2's tree: slower, not wo
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import faiss
 import numpy as np
 
-from lab.baselines.baseline import Tick, grey
+from lab.baselines.baseline import Tick, grey, orb
 from schemas.description import Floats
 from worker.method.unit_length import unit
 
@@ -33,8 +32,7 @@ class OrbWords:
     name = "orb words"
 
     def __init__(self, words: int = 1000, features: int = 500, seed: int = 0) -> None:
-        self.words, self.seed = words, seed
-        self.detector = cv2.ORB.create(nfeatures=features)
+        self.words, self.features, self.seed = words, features, seed
 
     def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
         """Distances in 0..1, float32 (queries, database); 1 for an image without features."""
@@ -49,7 +47,7 @@ class OrbWords:
 
     def _bits(self, path: Path, tick: Tick) -> Floats:
         """ORB descriptors as bits, float32 (features, 256): their squared distance is Hamming's."""
-        _, descriptors = self.detector.detectAndCompute(grey(path), None)
+        _, descriptors = orb(grey(path), self.features)
         tick()
         if descriptors is None:
             return np.zeros((0, 256), np.float32)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from lab.baselines.baseline import grey, rgb
+from lab.baselines.baseline import grey, orb, rgb
 from lab.datasets.dataset import Dataset
 from lab.evaluation.html import Example, Shown
 from lab.evaluation.querying import Answers
@@ -18,6 +18,9 @@ from schemas.errors import BadImage
 
 LONG_SIDE = 420
 """Pixels of an image in the report."""
+
+FEATURES = 500
+"""ORB features of an image."""
 
 RATIO = 0.8
 """Lowe's ratio between the best and the second best ORB match."""
@@ -82,17 +85,14 @@ def the_papers_figures(dataset: Dataset, answers: Answers, artist: Artist | None
 
 def orb_features(path: Path) -> bytes:
     """An image with its ORB features, as JPEG."""
-    detector = cv2.ORB.create(nfeatures=500)
-    pixels = _fitted(rgb(path))
-    return _jpeg(cv2.drawKeypoints(pixels, detector.detect(_fitted(grey(path)), None), None, (255, 60, 60)))
+    keypoints, _ = orb(_fitted(grey(path)), FEATURES)
+    return _jpeg(cv2.drawKeypoints(_fitted(rgb(path)), keypoints, None, (255, 60, 60)))
 
 
 def orb_matches(one: Path, other: Path) -> Shown:
     """ORB's matches between two images: each the other's nearest, and clearly nearer than the next."""
-    detector = cv2.ORB.create(nfeatures=500)
-    a, b = _fitted(grey(one)), _fitted(grey(other))
-    keys_a, bits_a = detector.detectAndCompute(a, None)
-    keys_b, bits_b = detector.detectAndCompute(b, None)
+    keys_a, bits_a = orb(_fitted(grey(one)), FEATURES)
+    keys_b, bits_b = orb(_fitted(grey(other)), FEATURES)
     good = []
     if bits_a is not None and bits_b is not None:
         back = {(m.trainIdx, m.queryIdx) for m in cv2.BFMatcher(cv2.NORM_HAMMING).match(bits_b, bits_a)}

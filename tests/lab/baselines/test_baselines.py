@@ -69,6 +69,17 @@ def test_a_featureless_image_is_far_from_everything(places: tuple[list[Path], li
     assert distances.tolist() == [[1.0] * 7]
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 96), (96, 1)], ids=str)
+def test_an_image_of_one_pixel_is_ranked_too(
+    places: tuple[list[Path], list[Path]], tmp_path: Path, shape: tuple[int, int]
+) -> None:
+    speck = tmp_path / "speck.png"
+    assert cv2.imwrite(str(speck), np.full(shape, 128, np.uint8))
+    for one in rivals(PLAIN, Needs()).baselines:
+        distances = one.rank([*places[0], speck], [speck], lambda: None)
+        assert np.isfinite(distances).all()
+
+
 def test_random_differs_by_seed() -> None:
     paths = [Path("a"), Path("b")]
     assert not np.array_equal(

@@ -3,11 +3,14 @@
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from lab.baselines.baseline import rank_readable
 from lab.baselines.label_shares import LabelShares
 from schemas.description import SEMANTIC, Floats, PixelField
+from schemas.errors import BadImage
 from schemas.image import Image
 from schemas.records import Meaning
 
@@ -43,3 +46,19 @@ def test_shares_are_of_what_stays_and_cars_do_not_matter() -> None:
     assert distances[0] == pytest.approx([0, np.hypot(0.3, 0.3)], abs=1e-3)
     assert distances[1] == pytest.approx([0, np.hypot(0.3, 0.3)], abs=1e-3)  # 4 of the 5 static cells are sky
     assert distances[2] == pytest.approx([np.hypot(0.8, 0.2), np.hypot(0.5, 0.5)], abs=1e-3)
+
+
+def test_an_image_that_the_service_alone_refuses_does_not_end_the_ranking(tmp_path: Path) -> None:
+    files = [tmp_path / f"{name}.png" for name in ("8_0", "5_0", "wide")]
+    for file in files:  # OpenCV reads all of them
+        assert cv2.imwrite(str(file), np.zeros((2, 2), np.uint8))
+
+    def refusing(path: Path) -> Image:
+        if path.stem == "wide":
+            raise BadImage("picture-too-large", "one side is too long")
+        return decode(path)
+
+    baseline = LabelShares(RowsOfLabels(), ("sky", "building", "car"), ("car",), refusing)
+    distances, unreadable = rank_readable(baseline, files, files[:1], lambda: None)
+    assert (int(distances.argmin()), unreadable) == (0, 1)
+    assert np.isinf(distances[0]).tolist() == [False, False, True]
