@@ -14,7 +14,6 @@ from torch import Tensor
 from schemas.errors import SetupError
 from tests.encoders.lseg import small
 from worker.encoders import inspection
-from worker.encoders.lseg import checkpoint
 from worker.encoders.lseg.checkpoint import check, convert, load
 
 NORM = "scratch.refinenet1.resConfUnit1.bn1.weight"
@@ -258,16 +257,6 @@ def test_a_truncated_conversion_is_refused(tmp_path: Path, file: Path) -> None:
 
     with pytest.raises(SetupError, match="not a whole safetensors file"):
         load(target, small.SMALL)
-
-
-def test_the_built_in_weights_are_recognised(tmp_path: Path) -> None:
-    file = tmp_path / "compact.safetensors"
-    save_file({"words.weight": torch.ones(2), "detail.weight": torch.ones(2)}, file)
-
-    report = inspection.check(file)
-
-    assert (report.kind, report.usable) == ("compact", True)
-    assert report.digest == report.sha256 == checkpoint.file_digest(file)
 
 
 def test_a_conversion_by_other_hands_is_taken(tmp_path: Path, file: Path) -> None:
