@@ -24,6 +24,12 @@ FLAT = 0.1
 """An axis whose range is below this share of the other's is probably height."""
 
 
+TOO_FEW = (
+    "the answerable queries, {} in all, cannot tell, whatever the method: there are too few of them, or they show too "
+    "few places, so that right answers to all of them could be exchanged as well"
+)
+
+
 @dataclass(frozen=True)
 class Luck:
     """The verdict on a ranking.
@@ -84,11 +90,12 @@ def looks_like_chance(
     right = _right_matrix(truth, answerable)
     answers = ranked[answerable]
     got = _score(answers, right, depths)
-    orders = (generator.permutation(len(answerable)) for _ in range(permutations))
-    as_good = sum(_score(answers[order], right, depths) >= got - 1e-12 for order in orders)
-    p_value = (1 + as_good) / (1 + permutations)
+    p_value = _exchanged(answers, right, generator, depths, permutations)
     if p_value <= SIGNIFICANCE:
         return Luck(False, p_value, ())
+    best = np.array([[truth.positives[query][truth.counts[query] // 2]] for query in answerable])
+    if _exchanged(best, right, generator, depths, permutations) > SIGNIFICANCE:
+        return Luck(True, p_value, (TOO_FEW.format(len(answerable)),))
     return Luck(True, p_value, tuple(_causes(answers, right, truth, answerable, got, depths)))
 
 
@@ -120,6 +127,16 @@ def suspicions(truth: Truth, positions: Doubles | None = None) -> tuple[str, ...
                 "(KITTI's ground plane is x and z, columns 3 and 11; column 7 is height)"
             )
     return tuple(found)
+
+
+def _exchanged(
+    answers: Indices, right: Booleans, generator: np.random.Generator, depths: Sequence[int], permutations: int
+) -> float:
+    """How often answers do at least as well when queries exchange them, the given order counted as one of them."""
+    got = _score(answers, right, depths)
+    orders = (generator.permutation(len(answers)) for _ in range(permutations))
+    as_good = sum(_score(answers[order], right, depths) >= got - 1e-12 for order in orders)
+    return (1 + as_good) / (1 + permutations)
 
 
 def _right_matrix(truth: Truth, answerable: Indices) -> Booleans:

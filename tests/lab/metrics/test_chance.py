@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lab.metrics.chance import looks_like_chance, suspicions
+from lab.metrics.chance import TOO_FEW, looks_like_chance, suspicions
 from lab.metrics.recall import Indices, Truth
 
 SIZE = 120
@@ -63,6 +63,24 @@ def test_truth_in_reverse_order_is_named() -> None:
     luck = looks_like_chance(good(1.0)[::-1].copy(), WALK, np.random.default_rng(0))
     assert luck.at_chance
     assert "reverse" in luck.causes[0]
+
+
+@pytest.mark.parametrize("places", [[0], [0, 1, 2, 3], [7] * 20, [7] * 11 + [8]], ids=str)
+def test_queries_too_few_or_of_too_few_places_are_said_to_tell_nothing(places: list[int]) -> None:
+    truth = Truth.of([[place] for place in places], 100)
+    perfect = np.array([[place, 50, 51] for place in places])
+    luck = looks_like_chance(perfect, truth, np.random.default_rng(0))
+    assert luck.at_chance
+    assert luck.causes == (TOO_FEW.format(len(places)),)
+
+
+def test_few_queries_of_as_many_places_may_tell_enough() -> None:
+    truth = Truth.of([[place] for place in range(7)], 100)
+    perfect, wrong = (np.arange(7)[:, None] + shift for shift in (0, 1))
+    assert not looks_like_chance(perfect, truth, np.random.default_rng(0)).at_chance
+    luck = looks_like_chance(wrong, truth, np.random.default_rng(0))
+    assert luck.at_chance
+    assert "file order" in luck.causes[0]
 
 
 def test_no_answerable_query_is_said() -> None:
