@@ -1,5 +1,6 @@
 """Anybody's images with a table of positions."""
 
+import os
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
@@ -88,9 +89,14 @@ def _found(root: Path, name: str) -> Path:
 
 
 def _unnamed(root: Path, named: Sequence[Path]) -> int:
-    """How many images lie below a folder besides those that its table names."""
-    images = {path for path in root.rglob("[!.]*") if path.suffix.lower() in ENDINGS}
-    return len(images - set(named))
+    """How many images lie below a folder besides those that its table names; none of hidden folders."""
+    known, count = set(named), 0
+    for folder, folders, files in os.walk(root):
+        # Hidden folders hold no images of a set: thumbnails, or what the links of git-annex lead to.
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        shown = (Path(folder, name) for name in files if not name.startswith("."))
+        count += sum(path.suffix.lower() in ENDINGS and path not in known for path in shown)
+    return count
 
 
 def _facing(positives: Sequence[Indices], database: Doubles, queries: Doubles, tolerance: float) -> list[Indices]:

@@ -91,11 +91,21 @@ def test_folder_by_hand(tmp_path: Path) -> None:
     assert [p.tolist() for p in facing.positives] == [[1], []]
 
 
+def test_the_store_that_links_lead_to_is_no_part_of_a_set(tmp_path: Path) -> None:
+    walk(tmp_path, "database/a.jpg,0,0,0\nquery/c.jpg,0,10,0")
+    kept = tmp_path / ".git" / "annex" / "objects" / "a1.jpg" / "a1.jpg"  # a folder and a file, as git-annex has them
+    kept.parent.mkdir(parents=True)
+    (tmp_path / "database" / "a.jpg").rename(kept)
+    (tmp_path / "database" / "a.jpg").symlink_to(kept)
+    assert folder.read(tmp_path)[0].truth == "within 25 m"
+
+
 def test_images_that_the_table_does_not_name_are_told_of(tmp_path: Path) -> None:
     walk(tmp_path, "database/a.jpg,0,0,0\nquery/c.jpg,0,10,0")
     assert "take no part" not in folder.read(tmp_path)[0].truth
     image(tmp_path / "query" / "d.jpg")
     image(tmp_path / "query" / "._d.jpg")  # what macOS leaves beside it
+    image(tmp_path / ".thumbnails" / "a.jpg")
     assert folder.read(tmp_path)[0].truth == "within 25 m; images that positions.csv does not name take no part: 1"
 
 
