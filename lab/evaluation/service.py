@@ -1,12 +1,16 @@
 """The service in this process as something to be measured: its use-cases, without HTTP."""
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import lru_cache
 from itertools import count
 from pathlib import Path
 
-from lab.datasets.dataset import Dataset
+import schemas
+import worker
+from lab.datasets.dataset import Dataset, digest
 from lab.evaluation.querying import Answer
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position, ViewAttributes
@@ -15,6 +19,12 @@ from worker.service.query import QueryResult
 
 PATIENCE_S = 600.0
 """How long the description of one image may take."""
+
+ROOMS = tuple(Path(room.__path__[0]) for room in (schemas, worker))
+"""Folders of the program that decides answers."""
+
+PROGRAM = frozenset({".py", ".json", ".onnx", ".safetensors"})
+"""Endings of its files."""
 
 _numbers = count()
 
@@ -43,9 +53,9 @@ class ServiceRetriever:
 
     @property
     def recipe(self) -> str:
-        """Id of both halves of the map's recipe, and how its confidences are made."""
+        """Id of both halves of the map's recipe, how its confidences are made, and the program that does it."""
         calibration = self.runtime.calibration(self.map_recipe).to_json()
-        return f"{self.map_recipe.description.id} {self.map_recipe.ranking.id} {calibration}"
+        return f"{self.map_recipe.description.id} {self.map_recipe.ranking.id} {calibration} {program()}"
 
     def enroll(self, image: Path, position: Position, place: str | None = None) -> str:
         """Enrol an image and wait until it is described; raises RevisitError when it cannot be."""
@@ -100,6 +110,14 @@ def evidence(result: QueryResult) -> dict[str, float]:
         "rival_inliers": float(results.ranking.rival_inliers or 0),
     }
     return {**decision.features, **measured}
+
+
+@lru_cache
+def program(rooms: Sequence[Path] = ROOMS) -> str:
+    """16 hex digits that change with the code below some folders, and with what ships there: answers of a method that
+    was changed since are not its own."""
+    files = (path for room in rooms for path in sorted(room.rglob("*")) if path.suffix in PROGRAM)
+    return hashlib.sha256("".join(f"{path.name} {digest(path)}\n" for path in files).encode()).hexdigest()[:16]
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """The service itself, measured through its own use-cases: encoder without weights, real SQLite file."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from lab.evaluate import run
 from lab.evaluation.artist import ServiceArtist
 from lab.evaluation.in_process import contender, runtime_for_measuring
 from lab.evaluation.querying import query_all
-from lab.evaluation.service import ServiceRetriever
+from lab.evaluation.service import ROOMS, ServiceRetriever, map_of_its_own, program
 from schemas.errors import RevisitError
 from schemas.records import Position
 from schemas.settings import Settings
@@ -55,6 +56,19 @@ def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runtime]:
     )
     with runtime_for_measuring(settings) as started:
         yield started
+
+
+def test_answers_of_another_program_are_none_of_this_one(runtime: Runtime, walk: Dataset, tmp_path: Path) -> None:
+    with map_of_its_own(runtime, runtime.default_recipe, "default", walk) as retriever:
+        assert retriever.recipe.endswith(f" {program()}")
+    rooms = tuple(tmp_path / room.name for room in ROOMS)
+    for room, copy in zip(ROOMS, rooms, strict=True):
+        shutil.copytree(room, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    assert program(rooms) == program()
+    ranking = rooms[1] / "method" / "cascade.py"
+    ranking.write_text(ranking.read_text() + "# another stage\n")
+    program.cache_clear()
+    assert program(rooms) != program()
 
 
 def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Dataset) -> None:
