@@ -160,9 +160,16 @@ def _refuse_missing(path: Path, what: str, missing: Sequence[str], count: int) -
 
 
 def named(texts: Sequence[str], make: Callable[[str, Path], T]) -> list[T]:
-    """Methods from texts like ``my method=file.npz``; a text without a name is named by its file."""
-    found = []
-    for text in texts:
-        name, sign, path = text.rpartition("=")
-        found.append(make(name if sign else Path(path).stem, Path(path)))
-    return found
+    """Methods from texts like ``my method=file.npz``; a text without a name is named by its file.
+
+    Where names or folders have the sign too (``runs/lr=0.1/file.npz``), the file is the longest end that there is.
+    """
+    return [make(*_named(text)) for text in texts]
+
+
+def _named(text: str) -> tuple[str, Path]:
+    parts = text.split("=")
+    ends = ["=".join(parts[start:]) for start in range(len(parts))]
+    path = next((end for end in ends if Path(end).is_file()), ends[min(1, len(ends) - 1)])
+    name = text.removesuffix(path).removesuffix("=")
+    return name or Path(path).stem, Path(path)

@@ -96,3 +96,15 @@ def test_methods_are_named_or_take_the_name_of_their_file() -> None:
         Ranked("my way", Path("a/b.txt")),
         Ranked("c", Path("a/c.txt")),
     ]
+
+
+def test_files_of_runs_that_are_named_by_their_settings_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "lr=0.1,wd=0" / "ranked.txt"
+    path.parent.mkdir()
+    path.touch()
+    assert named([f"mine={path}", str(path), f"k=5={path}"], Ranked) == [
+        Ranked("mine", path),
+        Ranked("ranked", path),
+        Ranked("k=5", path),
+    ]
+    assert named(["mine=lr=0.1/absent.txt"], Ranked) == [Ranked("mine", Path("lr=0.1/absent.txt"))]
