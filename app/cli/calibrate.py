@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Verbs, progress_bar, show, show_json, speaks, table, wrong_use
+from app.cli.console import DONE, Failure, Verbs, progress_bar, say, show, show_json, speaks, table, wrong_use
+from app.cli.loops import OF_ONE_IMAGE
 from schemas.values import composed
 
 if TYPE_CHECKING:
@@ -59,8 +60,8 @@ class Row:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; returns 0 also when nothing was kept."""
-    from revisit_client import Revisit
+    """Calibrate; returns 0 also when nothing was kept. Images that the service refuses are left out, and told."""
+    from revisit_client import Revisit, RevisitProblem
 
     if (arguments.labels is None) != arguments.forget:
         wrong_use("give either a CSV file of labelled images or --forget")
@@ -76,13 +77,23 @@ def run(arguments: argparse.Namespace) -> int:
     with Revisit(arguments.url, key=arguments.key) as revisit:
         within = max(arguments.within, float(revisit.map(arguments.map).ranking["same_place_m"]))
         _refuse_unknown_places(revisit, arguments.map, rows)
-        observed, used = [], dict[str, Any]()
+        observed, used, left_out = [], dict[str, Any](), []
         with progress_bar(len(rows), "images queried", quiet=arguments.json) as step:
             for row in rows:
-                answer = revisit.query(row.image, map=arguments.map)
-                used = {"recipe": answer.recipe, "ranking": answer.ranking}
-                observed.append(_observed(revisit, arguments.map, row, answer, within))
+                try:
+                    answer = revisit.query(row.image, map=arguments.map)
+                except RevisitProblem as problem:
+                    if problem.code not in OF_ONE_IMAGE:
+                        raise
+                    left_out.append(f"left out {row.image}: {problem}")
+                else:
+                    used = {"recipe": answer.recipe, "ranking": answer.ranking}
+                    observed.append(_observed(revisit, arguments.map, row, answer, within))
                 step(row.image.name)
+        for line in left_out:
+            say(line)
+        if not observed:
+            raise Failure("the service took none of the labelled images")
         report = revisit.calibrate(arguments.map, observed=observed, dry_run=arguments.dry_run, **used)
     if arguments.json:
         show_json(report.model_dump(mode="json"))

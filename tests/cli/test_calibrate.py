@@ -79,6 +79,36 @@ def test_and_by_position_within_a_distance(site: FakeService, tmp_path: Path) ->
     assert not degrees["observed"][0]["right"]  # the map is in metres
 
 
+def test_an_image_that_is_refused_is_left_out_and_told(site: FakeService, tmp_path: Path, capsys: Out) -> None:
+    _, answer = site.replies["POST /query"]  # type: ignore[misc]
+    broken = answers.problem("undecodable-picture", 422, title="The image is truncated or corrupt")
+
+    def reply(body: bytes) -> tuple[int, Any]:
+        return (422, broken) if b"half an image" in body else (200, answer)
+
+    site.replies["POST /query"] = reply
+    (tmp_path / "b.jpg").write_bytes(b"half an image")
+
+    body = calibrated(site, tmp_path, "file,place\na.jpg,square\nb.jpg,square\nc.jpg,\n")
+
+    assert [one["right"] for one in body["observed"]] == [True, False]
+    assert f"left out {tmp_path / 'b.jpg'}: The image is truncated or corrupt" in capsys.readouterr().err
+
+
+def test_without_any_image_that_is_taken_nothing_is_calibrated(site: FakeService, tmp_path: Path, capsys: Out) -> None:
+    site.replies["POST /query"] = 422, answers.problem("nothing-static", 422)
+    (tmp_path / "labels.csv").write_text("file,place\na.jpg,square\n")
+    assert main(["calibrate", str(tmp_path / "labels.csv"), "--map", "campus"]) == 1
+    assert "none of the labelled images" in capsys.readouterr().err
+
+
+def test_a_map_that_is_gone_is_no_fault_of_an_image(site: FakeService, tmp_path: Path) -> None:
+    site.replies["POST /query"] = 404, answers.problem("not-found", 404)
+    (tmp_path / "labels.csv").write_text("file,place\na.jpg,square\n")
+    assert main(["calibrate", str(tmp_path / "labels.csv"), "--map", "campus"]) == 1
+    assert not [path for path, _ in site.requests if path.endswith("/calibration")]
+
+
 def test_the_report_as_json_is_the_services(site: FakeService, tmp_path: Path, capsys: Out) -> None:
     calibrated(site, tmp_path, "file,place\na.jpg,square\n", "--json")
     assert json.loads(capsys.readouterr().out) == CALIBRATION_REPORT
