@@ -25,6 +25,8 @@ NAMES_IN_FILES = {SEMANTIC: "words"}
 PER_IMAGE = 200
 """Descriptors drawn per image for training, so that all images count the same."""
 
+KEPT_SIZES = "one that is trained on the map's views has the channels and sizes of the one before"
+
 MOST_IMAGES = 1000
 """Images used for training at most; more only take longer."""
 
@@ -89,17 +91,19 @@ class Vocabulary:
         for name, channel in parameters.channels.items():
             learned = self.channels.get(name)
             if learned is None:
-                raise SetupError(f"the vocabulary has no channel {name!r}; it has {sorted(self.channels)}")
+                has = sorted(self.channels)
+                raise SetupError(f"the vocabulary has no channel {name!r}; it has {has}; {KEPT_SIZES}")
             want = (channel.vocabulary_size, layers[channel.layer])
             if learned.words.shape != want:
                 raise SetupError(
                     f"channel {name!r}: the vocabulary has (words, channels) {learned.words.shape}, "
-                    f"the recipe wants {want}; train one with `./revisit vocabulary train`"
+                    f"the recipe wants {want}; {KEPT_SIZES}"
                 )
             got = None if learned.projection is None else learned.projection.matrix.shape[1]
             if got != channel.dimensions:
                 raise SetupError(
-                    f"channel {name!r}: the vocabulary projects to {got}, the recipe to {channel.dimensions}"
+                    f"channel {name!r}: the vocabulary projects to {got}, the recipe to {channel.dimensions}; "
+                    f"{KEPT_SIZES}"
                 )
 
 
