@@ -199,8 +199,8 @@ def within(database: Doubles, queries: Doubles, radius_m: float) -> list[Indices
 
     Parameters
     ----------
-    database, queries : float64 of shape (images, 2)
-        Metres in the ground plane.
+    database, queries : float64 of shape (images, 2) or (images, 3)
+        Metres, in the ground plane or on the globe.
     radius_m : float
 
     Returns

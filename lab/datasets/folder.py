@@ -59,9 +59,9 @@ def read(
     missing = [row["file"] for row, file in zip(rows, files, strict=True) if not file.is_file()]
     if missing:
         raise UnexpectedLayout(path, f"{len(missing)} images are not there: {', '.join(missing[:5])}", EXPECTED)
-    positions = _metres(rows, path)
+    positions, points = _metres(rows, path)
     is_query = np.array([role == "query" for role in roles])
-    positives = within(positions[~is_query], positions[is_query], radius_m)
+    positives = within(points[~is_query], points[is_query], radius_m)
     truth = f"within {radius_m:g} m"
     if heading_tolerance is not None:
         headings = _column(rows, ("heading", "heading_deg"), path)
@@ -108,20 +108,25 @@ def _facing(positives: Sequence[Indices], database: Doubles, queries: Doubles, t
     return kept
 
 
-def _metres(rows: list[dict[str, str]], path: Path) -> Doubles:
-    """Positions in a plane, float64 (rows, 2): x and y as given, or east and north of the mean position."""
+def _metres(rows: list[dict[str, str]], path: Path) -> tuple[Doubles, Doubles]:
+    """Positions in a plane, float64 (rows, 2): x and y as given, or east and north of the mean position; and points
+    whose distances are those on the ground, the same or on the globe, float64 (rows, 3)."""
     if "lat" not in rows[0]:
-        return np.column_stack([_column(rows, ("x", "x_m"), path), _column(rows, ("y", "y_m"), path)])
+        plane = np.column_stack([_column(rows, ("x", "x_m"), path), _column(rows, ("y", "y_m"), path)])
+        return plane, plane
     degrees = [_column(rows, (name,), path) for name in ("lat", "lon")]
     for values, name, most in zip(degrees, ("lat", "lon"), (90, 180), strict=True):
         if np.abs(values).max() > most:
             line = int(np.argmax(np.abs(values) > most)) + 2
             raise UnexpectedLayout(path, f"line {line}: {name} is not within {most} degrees of 0", EXPECTED)
     lat, lon = map(np.radians, degrees)
-    # A plane through the mean position: 0.1 % off at 30 km, and no set of one city is larger. Longitudes are taken
-    # relative to the first one, so that a set on either side of 180 degrees stays together.
+    # A plane through the mean position: hardly off within a city, a tenth where a set has cities far north and south.
+    # So what is near is told on the globe. Longitudes are taken relative to the first one, so that a set on either
+    # side of 180 degrees stays together.
     east = (lon - lon[0] + np.pi) % (2 * np.pi) - np.pi
-    return EARTH_M * np.column_stack([(east - east.mean()) * np.cos(lat.mean()), lat - lat.mean()])
+    plane = EARTH_M * np.column_stack([(east - east.mean()) * np.cos(lat.mean()), lat - lat.mean()])
+    globe = EARTH_M * np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return plane, globe
 
 
 def _column(rows: list[dict[str, str]], names: tuple[str, ...], path: Path) -> Doubles:

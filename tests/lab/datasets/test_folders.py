@@ -120,6 +120,14 @@ def test_folder_in_degrees(tmp_path: Path) -> None:
     assert apart == pytest.approx([55.6, 16.7], abs=0.1)
 
 
+def test_what_is_near_is_told_on_the_globe_where_a_set_has_cities_far_apart(tmp_path: Path) -> None:
+    # A degree of longitude is 67.7 km in the northern city and 82.8 in the southern one: 23 m, 27 m and the query.
+    north = "a.jpg,52.52,13.40034,database\nb.jpg,52.52,13.4004,database\nc.jpg,52.52,13.4,query"
+    south = "d.jpg,41.9,12.50028,database\ne.jpg,41.9,12.50033,database\nf.jpg,41.9,12.5,query"
+    [found] = folder.read(walk(tmp_path, f"{north}\n{south}", "file,lat,lon,role"))
+    assert [p.tolist() for p in found.positives] == [[0], [2]]
+
+
 def test_folder_stays_together_across_the_date_line(tmp_path: Path) -> None:
     rows = "a.jpg,0,179.9999,database\nb.jpg,0,-179.9999,query"
     [found] = folder.read(walk(tmp_path, rows, "file,lat,lon,role"))
