@@ -1,18 +1,19 @@
 """Draws for the report what the service saw: labels, context graphs, and what corresponds."""
 
 from collections.abc import Sequence
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from lab.evaluation.html import Shown
 from lab.evaluation.service import ServiceRetriever
-from schemas.errors import RevisitError
-from schemas.records import Position
 from worker.images.codec import shrink
 from worker.service.explanations import Explained, headline
 
 EXPLAINED = 100
 """Answers among which the one to be explained is looked for."""
+
+
+KEPT = "of the answer; it was kept by an earlier run: one with another --out draws what agrees"
 
 
 class ServiceArtist:
@@ -29,17 +30,19 @@ class ServiceArtist:
         self._owner = retriever.runtime.store.maps.get(retriever.map_name)
 
     def explain(self, query: Path, answer: Path) -> Sequence[Shown]:
-        """Both context graphs, and what corresponds between the query and that answer."""
+        """Both context graphs, and what corresponds between the query and that answer.
+
+        A run whose answers were kept by an earlier one has enrolled nothing. A map of this answer alone would decide
+        otherwise, and tell of a certainty that there was not: then the graphs are drawn alone, which is said.
+        """
         one, other = (self._decode(path.read_bytes()) for path in (query, answer))
         shown = [
             Shown("context graph of the query", self._draw.draw_graph(one, self._owner)),
             Shown("of the answer", self._draw.draw_graph(other, self._owner)),
         ]
-        # A run that was only read back from its journal has enrolled nothing. Where the image is in the map already,
-        # with its position, it is refused, which is as well.
-        with suppress(RevisitError):
-            self._retriever.enroll(answer, Position())
         result = self._retriever.result(query, EXPLAINED)
+        if not result.results.views:
+            return [shown[0], replace(shown[1], caption=KEPT)]
         scored = next((v for v in result.results.views if v.view.image.sha256 == other.digest), None)
         if scored is None:
             return shown

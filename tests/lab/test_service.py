@@ -13,7 +13,7 @@ from lab.ablate import VARIANTS, ablate, as_markdown, recipe_of, remembering
 from lab.benchmarks.ranking import measure, steps
 from lab.datasets.dataset import Dataset
 from lab.evaluate import run
-from lab.evaluation.artist import ServiceArtist
+from lab.evaluation.artist import KEPT, ServiceArtist
 from lab.evaluation.in_process import contender, runtime_for_measuring
 from lab.evaluation.querying import query_all
 from lab.evaluation.service import ROOMS, ServiceRetriever, map_of_its_own, program
@@ -180,5 +180,19 @@ def test_each_step_of_the_ranking_is_measured_on_the_service(runtime: Runtime, w
 def test_images_can_be_drawn_by_a_map(runtime: Runtime, walk: Dataset) -> None:
     with contender(runtime, "default").open(walk) as retriever:
         assert isinstance(retriever, ServiceRetriever)
+        for image in walk.database[:3]:
+            retriever.enroll(image, Position())
         shown = ServiceArtist(retriever).explain(walk.queries[0], walk.database[0])
     assert [s.wide for s in shown] == [False, False, True]
+
+
+def test_no_map_of_one_answer_explains_what_the_whole_map_decided(
+    runtime: Runtime, walk: Dataset, tmp_path: Path
+) -> None:
+    captions = []
+    for _ in range(2):
+        outcome = run(walk, [contender(runtime, "default")], journals=tmp_path, examples=1)
+        captions.append([shown.caption for example in outcome.examples for shown in example.images])
+    assert any("what agrees, and decided" in caption for caption in captions[0])
+    assert not any("what agrees, and decided" in caption for caption in captions[1])
+    assert KEPT in captions[1]
