@@ -8,11 +8,12 @@ from unittest.mock import Mock
 
 import pytest
 
-from schemas.errors import LeaseLost, NotFound, StorageFailed
+from schemas.errors import BadImage, Damaged, LeaseLost, NotFound, StorageFailed
 from schemas.records import JobProgress, MapClaim
 from tests.waiting import until
-from worker.description import map_training
+from worker.description import map_training, vocabularies
 from worker.description.map_training import VocabularyTrainer, _Heartbeat
+from worker.description.presets import PRESETS
 
 CLAIM = MapClaim("job", "vocabulary", "token", "campus")
 
@@ -50,11 +51,18 @@ def test_a_job_that_was_lost_is_noticed_also_after_the_database_was_away(monkeyp
             beat.tell(JobProgress(1, 2))
 
 
-def test_views_that_are_deleted_meanwhile_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_views_that_are_deleted_meanwhile_or_damaged_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def image(view_id: str) -> str:
         if view_id == "deleted":
             raise NotFound("view", view_id)
+        if view_id == "rotten":
+            raise Damaged("its file does not hold what was enrolled")
         return view_id
+
+    def decode(data: bytes) -> Any:
+        if str(data) == "huge":  # enrolled under other limits
+            raise BadImage("picture-too-large", "too many megapixels")
+        return data
 
     learned: list[str] = []
 
@@ -63,7 +71,7 @@ def test_views_that_are_deleted_meanwhile_are_left_out(monkeypatch: pytest.Monke
         return SimpleNamespace(digest="1" * 64, tensors=b"tensors")
 
     monkeypatch.setattr("worker.description.vocabularies.train", train)
-    ids = ("gate", "deleted", "pond")
+    ids = ("gate", "deleted", "rotten", "huge", "pond")
     views = SimpleNamespace(image=image, list=lambda *_, **__: ([SimpleNamespace(id=one) for one in ids], None))
     scheduler = SimpleNamespace(
         submit=lambda image, *_, **__: SimpleNamespace(result=lambda: SimpleNamespace(value=image))
@@ -71,7 +79,13 @@ def test_views_that_are_deleted_meanwhile_are_left_out(monkeypatch: pytest.Monke
     jobs, maps, describers = Mock(), Mock(), Mock()
     maps.get.return_value.description.parameters.seed = 1
     parts: Any = {"maps": maps, "views": views, "jobs": jobs, "describers": describers, "scheduler": scheduler}
-    VocabularyTrainer(**parts, decode=str).run(CLAIM, lambda: False)  # type: ignore[arg-type]
+    VocabularyTrainer(**parts, decode=decode).run(CLAIM, lambda: False)
     assert sorted(learned) == ["gate", "pond"]
     assert jobs.finish_training.called
     assert not jobs.fail_map_job.called
+
+
+def test_a_map_without_images_teaches_nothing_and_says_so() -> None:
+    recipe = PRESETS["paper"].parameters
+    with pytest.raises(ValueError, match="no image to learn from"):
+        vocabularies.train([], Mock(), recipe)

@@ -11,6 +11,8 @@ import numpy as np
 
 from schemas.description import PixelField
 from schemas.errors import (
+    BadImage,
+    Damaged,
     DiskFull,
     EncoderAway,
     JobStopped,
@@ -147,7 +149,11 @@ class VocabularyTrainer:
     def _fields(
         self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]
     ) -> Iterator[PixelField]:
-        """Pixel fields of the map's views, in random order by `seed`; queries go first. Without deleted ones."""
+        """Pixel fields of the map's views, in random order by `seed`; queries go first.
+
+        Without views that were deleted meanwhile, and those whose image is damaged or is not taken any more: a sample
+        can do without them, and the doctor names them.
+        """
         ids: list[str] = []
         cursor: str | None = None
         while True:
@@ -161,10 +167,12 @@ class VocabularyTrainer:
                 raise JobStopped
             beat.tell(JobProgress(done, len(chosen)))
             try:
-                data = self._views.image(ids[number])
+                image = self._decode(self._views.image(ids[number]))
             except NotFound:  # it was deleted since they were listed
                 continue
-            image = self._decode(data)
+            except (BadImage, Damaged) as error:
+                log.warning("the view %s is left out of a vocabulary: %s", ids[number], error.detail)
+                continue
             yield self._scheduler.submit(image, lambda _, field: field, urgent=False).result().value
 
 

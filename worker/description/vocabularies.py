@@ -159,6 +159,8 @@ def train(
             if parameters.dense is not None:
                 grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
                 grids[name].append(grid.reshape(-1, grid.shape[-1]))
+    if not all(images.values()):
+        raise ValueError("there is no image to learn from")
     return Vocabulary(
         {
             name: _train_channel(channel, images[name], grids[name], parameters, random)
