@@ -152,7 +152,8 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         exif : bool
             Take position, heading and time from the image's EXIF where none is given.
         wait : bool
-            True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
+            True: the view is searchable when this returns, unless the service describes it for longer than it waits
+            (`REVISIT_WAIT`) and `job` is set. False: it is stored durably, and `job` describes it later.
         idempotency_key : str or None
             Calls with the same key are done once; 1 to 255 visible ASCII characters. None makes a key for this call and
             its repetitions.

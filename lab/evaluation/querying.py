@@ -17,6 +17,9 @@ from schemas.errors import RevisitError, SetupError
 from schemas.records import Position
 from worker.method.calibration import Verdict
 
+PATIENCE_S = 600.0
+"""How long the description of one image may take."""
+
 IMAGE_FAULTS = frozenset(
     {
         "body-too-large",  # over HTTP

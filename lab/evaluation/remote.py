@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from revisit_client import ClientError, Revisit, RevisitProblem
+from revisit_client import ClientError, JobFailed, Revisit, RevisitProblem
 from revisit_client.wire import MapFacts
 
 from lab.datasets.dataset import Dataset
 from lab.evaluation.contender import Contender
-from lab.evaluation.querying import Answer
+from lab.evaluation.querying import PATIENCE_S, Answer
 from schemas.errors import RevisitError
 from schemas.records import Position
 
@@ -34,9 +34,12 @@ class ServedRetriever:
         self.recipe = f"{facts.recipe['id']} {facts.ranking['id']} {revisit.version().version}"
 
     def enroll(self, image: Path, position: Position) -> str:
-        """Enrol and wait until it is searchable; raises RevisitError as the service refused."""
+        """Enrol and wait until it is searchable; raises RevisitError as the service refused.
+
+        The service itself waits so long as it is told to (`REVISIT_WAIT`), and with a slow encoder answers before.
+        """
         try:
-            return self._revisit.enroll(
+            enrolled = self._revisit.enroll(
                 image,
                 map=self._map,
                 x=position.x,
@@ -45,9 +48,19 @@ class ServedRetriever:
                 lat=position.lat,
                 lon=position.lon,
                 alt=position.alt,
-            ).view.id
+            )
+            if enrolled.job is not None:
+                self._revisit.wait_for_job(enrolled.job, timeout=PATIENCE_S)
         except RevisitProblem as problem:
             raise _refusal(problem) from problem
+        except JobFailed as failed:
+            reason = failed.job.failure
+            refusal = RevisitError(str(failed))
+            refusal.code = refusal.code if reason is None else reason.code
+            raise refusal from failed
+        except TimeoutError as error:
+            raise RevisitError(f"{image} is not described yet: {error}") from None
+        return enrolled.view.id
 
     def query(self, image: Path, top: int) -> Answer:
         """Query twice: as usual, and by the histograms alone."""

@@ -11,14 +11,11 @@ from pathlib import Path
 import schemas
 import worker
 from lab.datasets.dataset import Dataset, digest
-from lab.evaluation.querying import Answer
+from lab.evaluation.querying import PATIENCE_S, Answer
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position, ViewAttributes
 from worker.runtime import Runtime
 from worker.service.query import QueryResult
-
-PATIENCE_S = 600.0
-"""How long the description of one image may take."""
 
 ROOMS = tuple(Path(room.__path__[0]) for room in (schemas, worker))
 """Folders of the program that decides answers."""

@@ -72,6 +72,24 @@ def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
     assert caught.value.code == "nothing-static"
 
 
+def test_what_is_described_later_is_waited_for(tmp_path: Path) -> None:
+    image = tmp_path / "a.jpg"
+    image.write_bytes(b"image")
+    with fake_service() as service:
+        replies(service)
+        service.replies["POST /enroll"] = 202, answers.enrolled() | {"job": answers.JOB}
+        service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job()
+        with connect(service.url, "default").open(cast(Dataset, None)) as retriever:
+            assert retriever.enroll(image, Position()) == answers.ID
+            assert [path for path, _ in service.requests][-1] == f"GET /jobs/{answers.JOB}"
+
+            reason = {"code": "nothing-static", "detail": "all of it moves"}
+            service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("failed", failure=reason)
+            with pytest.raises(RevisitError, match="all of it moves") as caught:
+                retriever.enroll(image, Position())
+    assert caught.value.code == "nothing-static"
+
+
 def test_answers_are_kept_although_the_service_goes_before_its_map_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
