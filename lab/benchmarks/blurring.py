@@ -17,7 +17,7 @@ import numpy as np
 
 from lab.datasets.dataset import images_in
 from lab.evaluation.in_process import runtime_for_measuring
-from lab.evaluation.service import PATIENCE_S
+from lab.evaluation.querying import PATIENCE_S
 from schemas.blur import BLUR_GROUPS
 from schemas.description import Booleans
 from schemas.image import Image

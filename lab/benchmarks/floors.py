@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 import cv2
 
 from lab.evaluation.in_process import runtime_for_measuring
-from lab.evaluation.service import PATIENCE_S
+from lab.evaluation.querying import PATIENCE_S
 from scenes.building import KINDS, Building, Shot, building
 from scenes.geometry import Pixels
 from schemas.records import ViewAttributes

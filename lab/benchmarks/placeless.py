@@ -22,7 +22,7 @@ from lab.benchmarks.floors import VERDICTS, encoded
 from lab.datasets.dataset import ENDINGS
 from lab.evaluation.in_process import runtime_for_measuring, train_vocabulary
 from lab.evaluation.once import DescribeOnce
-from lab.evaluation.service import PATIENCE_S
+from lab.evaluation.querying import PATIENCE_S
 from scenes import scene
 from scenes.geometry import Pixels
 from scenes.placeless import KINDS, placeless

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lab.datasets.dataset import images_in
 from lab.evaluation.in_process import runtime_for_measuring
-from lab.evaluation.service import PATIENCE_S
+from lab.evaluation.querying import PATIENCE_S
 from schemas.records import Position, ViewAttributes
 from schemas.settings import Settings
 from worker.runtime import Runtime
