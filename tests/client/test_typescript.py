@@ -83,7 +83,14 @@ def test_node_speaks_to_a_service(generate: ModuleType, tmp_path: Path) -> None:
         "place": "gate",
         "ready": 1,
         "thumbnail": "image/jpeg",
-        "problems": [[404, "not-found", 0], [422, "invalid-parameter", 1], *[[0, "", 0]] * 6, "Error: another page"],
+        "problems": [
+            [404, "not-found", 0],
+            [422, "invalid-parameter", 1],
+            *[[0, "", 0]] * 7,
+            [422, "idempotency-key-reused", 0],
+            "Error: another page",
+            *["Error: a newer frame"] * 2,
+        ],
     }
 
 

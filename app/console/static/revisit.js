@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from 9cebd8e95c6f00d1cad6c34047911e6cf29fd02fc497e9edaf26b14e9bb8e01d
+// By client/typescript/generate.py, from c34b0576bd4a2746876752b3c636bdb70ba18135213d00bafcab898bcaf98f67
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -67,12 +67,12 @@ export class Revisit {
         return given ? { "X-Api-Key": given } : {};
     }
     /** Which views of a map, or of several, show the place of this image? */
-    query(image, query = {}) {
-        return this.post("/query", { query, body: form(image) });
+    query(image, query = {}, sending = {}) {
+        return this.#call("POST", "/query", { ...sending, query, body: form(image) });
     }
     /** Enrol an image: 201 once it can be found, 202 where that will take longer. */
-    enroll(image, query = {}) {
-        return this.#call("POST", "/enroll", { query, body: form(image) });
+    enroll(image, query = {}, sending = {}) {
+        return this.#call("POST", "/enroll", { ...sending, query, body: form(image) });
     }
     get(path, options) {
         return this.#call("GET", path, options);
@@ -102,6 +102,9 @@ export class Revisit {
         const headers = this.headers();
         if (type !== null)
             headers["Content-Type"] = type;
+        const { idempotencyKey = null } = options;
+        if (idempotencyKey !== null)
+            headers["Idempotency-Key"] = keyed(idempotencyKey);
         const whole = checked(this.#url + address(path, query));
         const body = options.body ?? (json === null ? null : JSON.stringify(json));
         // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
@@ -152,6 +155,13 @@ function part(value) {
         throw new Problem(0, { title: "Nothing was sent", detail: `${JSON.stringify(value)} is no name and no id` });
     }
     return encodeURIComponent(value);
+}
+/** An Idempotency-Key; throws a Problem for one that no header carries, or that the service would refuse. */
+function keyed(key) {
+    if (/^[!-~]{1,255}$/.test(key))
+        return key;
+    const detail = "an Idempotency-Key needs 1 to 255 visible ASCII characters";
+    throw new Problem(0, { title: "Nothing was sent", detail });
 }
 /** The address of a request; throws a Problem for what is none, which fetch takes for a service that is away. */
 function checked(whole) {

@@ -24,10 +24,16 @@ type Answer<O> = O extends { responses: infer R } ? Content<R[keyof R]> : never;
 /** Paths that have a method. */
 type PathWith<M extends Method> = { [P in keyof paths]: paths[P][M] extends object ? P : never }[keyof paths];
 
+/** An Idempotency-Key where the service reads one: elsewhere it would promise what nobody keeps. */
+type Once<O> = O extends { parameters: { header?: infer H } }
+  ? keyof NonNullable<H> extends "Idempotency-Key"
+    ? Pick<Options, "idempotencyKey">
+    : { idempotencyKey?: undefined }
+  : never;
+
 /** What can be sent along; `path` has the values of the names in braces. */
-type Typed<O> = Omit<Options, "query"> & { query?: Query<O> } & ([InPath<O>] extends [never]
-    ? { path?: undefined }
-    : { path: InPath<O> });
+type Typed<O> = Omit<Options, "query" | "idempotencyKey"> & { query?: Query<O> } & Once<O> &
+  ([InPath<O>] extends [never] ? { path?: undefined } : { path: InPath<O> });
 
 export interface Options {
   /** Parameters of the URL; those that are null, undefined or "" are left out. */
@@ -39,7 +45,12 @@ export interface Options {
   /** Media type of the body; of JSON application/json, of a form what the browser makes of it. */
   type?: string;
   signal?: AbortSignal | null;
+  /** Calls with the same key are done once: of `/enroll`, and of `/query` with `drive`; 1 to 255 visible ASCII characters. */
+  idempotencyKey?: string | null;
 }
+
+/** What goes along with an image. */
+export type Sending = Pick<Options, "signal" | "idempotencyKey">;
 
 export interface Settings {
   /** A key, or what gives it before each request; null for none. */
@@ -118,13 +129,13 @@ export class Revisit {
   }
 
   /** Which views of a map, or of several, show the place of this image? */
-  query(image: Blob, query: QueryParameters = {}): Promise<QueryAnswer> {
-    return this.post("/query", { query, body: form(image) });
+  query(image: Blob, query: QueryParameters = {}, sending: Sending = {}): Promise<QueryAnswer> {
+    return this.#call("POST", "/query", { ...sending, query, body: form(image) });
   }
 
   /** Enrol an image: 201 once it can be found, 202 where that will take longer. */
-  enroll(image: Blob, query: EnrollParameters = {}): Promise<Enrolled> {
-    return this.#call("POST", "/enroll", { query, body: form(image) });
+  enroll(image: Blob, query: EnrollParameters = {}, sending: Sending = {}): Promise<Enrolled> {
+    return this.#call("POST", "/enroll", { ...sending, query, body: form(image) });
   }
 
   get<P extends PathWith<"get">>(path: P, options?: Typed<Operation<"get", P>>): Promise<Answer<Operation<"get", P>>> {
@@ -168,6 +179,8 @@ export class Revisit {
     const { query = {}, json = null, type = json === null ? null : "application/json", signal = null } = options;
     const headers = this.headers();
     if (type !== null) headers["Content-Type"] = type;
+    const { idempotencyKey = null } = options;
+    if (idempotencyKey !== null) headers["Idempotency-Key"] = keyed(idempotencyKey);
     const whole = checked(this.#url + address(path, query));
     const body = options.body ?? (json === null ? null : JSON.stringify(json));
     // A stream is sent while it is read, which fetch wants to be told; its types do not know that yet.
@@ -216,6 +229,13 @@ function part(value: string): string {
     throw new Problem(0, { title: "Nothing was sent", detail: `${JSON.stringify(value)} is no name and no id` });
   }
   return encodeURIComponent(value);
+}
+
+/** An Idempotency-Key; throws a Problem for one that no header carries, or that the service would refuse. */
+function keyed(key: string): string {
+  if (/^[!-~]{1,255}$/.test(key)) return key;
+  const detail = "an Idempotency-Key needs 1 to 255 visible ASCII characters";
+  throw new Problem(0, { title: "Nothing was sent", detail });
 }
 
 /** The address of a request; throws a Problem for what is none, which fetch takes for a service that is away. */

@@ -10,6 +10,8 @@ const photo = new File([await readFile(image)], "gate.jpg", { type: "image/jpeg"
 const enrolled = await revisit.enroll(photo, { map: "campus", place: "gate", x: 1, y: 2, "metadata.ignored": undefined });
 const answer = await revisit.query(photo, { map: "campus", top: 1 });
 const thumbnail = await (await revisit.send("GET", enrolled.view.links.thumbnail, { query: { size: 64 } })).blob();
+const once = { idempotencyKey: "keyframe-7" };
+await revisit.enroll(photo, { map: "campus" }, once);
 const problems = [];
 for (const wrong of [
   () => revisit.query(photo, { map: "nowhere" }),
@@ -20,7 +22,11 @@ for (const wrong of [
   () => revisit.get("/maps/{map}", { path: { map: "\ud800" } }),
   () => new Revisit(url, { key: "rv_…" }).get("/version"),
   () => revisit.delete("/views", { query: { map: "campus", place: "gate", "metadata.session": undefined } }),
+  () => revisit.enroll(photo, { map: "campus" }, { idempotencyKey: "keyframe 7" }),
+  () => revisit.enroll(photo, { map: "elsewhere" }, once),
   () => revisit.get("/version", { signal: AbortSignal.abort(new Error("another page")) }),
+  () => revisit.query(photo, { map: "campus" }, { signal: AbortSignal.abort(new Error("a newer frame")) }),
+  () => revisit.enroll(photo, { map: "elsewhere" }, { signal: AbortSignal.abort(new Error("a newer frame")) }),
 ]) {
   try {
     await wrong();

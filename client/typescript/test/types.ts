@@ -7,7 +7,10 @@ const revisit = new Revisit("http://localhost:8000", { key: "rv_1" });
 export async function allowed(photo: Blob): Promise<string | null> {
   const answer: QueryAnswer = await revisit.query(photo, { maps: "floor1,floor2", top: 3, "metadata.run": "7" });
   const status: "matched" | "ambiguous" | "no_match" = answer.status;
-  const enrolled = await revisit.enroll(photo, { map: "campus", place: "gate", x: 1.5, y: 2 });
+  const given = { map: "campus", place: "gate", x: 1.5, y: 2 };
+  const enrolled = await revisit.enroll(photo, given, { idempotencyKey: "keyframe-7", signal: AbortSignal.timeout(9000) });
+  await revisit.query(photo, { drive: "monday" }, { idempotencyKey: null, signal: null });
+  await revisit.post("/enroll", { query: given, body: photo, idempotencyKey: "keyframe-8" });
   const facts = await revisit.get("/maps/{map}", { path: { map: "campus" } });
   const view = await revisit.patch("/views/{view_id}", { path: { view_id: enrolled.view.id }, json: { place: null } });
   const page = await revisit.get("/views", { query: { map: "campus", limit: 10 } });
@@ -26,6 +29,10 @@ export async function refused(photo: Blob): Promise<void> {
   await revisit.put("/query", {});
   // @ts-expect-error: the path needs the name of a map
   await revisit.delete("/maps/{map}", {});
+  // @ts-expect-error: this call is not done once
+  await revisit.post("/maps/{map}/snapshots", { path: { map: "campus" }, idempotencyKey: "friday" });
+  // @ts-expect-error: parameters are not told twice
+  await revisit.query(photo, {}, { query: { map: "campus" } });
   // @ts-expect-error: an answer has no such field
   (await revisit.query(photo)).distance;
 }
