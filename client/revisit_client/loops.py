@@ -233,6 +233,7 @@ class LoopCloser:
                 map=self._map,
                 exclude_last=self._exclude_last,
                 near=None if self._within_m is None else (keyframe.x, keyframe.y, self._within_m),
+                geographic=None if self._within_m is None else False,  # the map may hold views in degrees too
                 precision=self._precision,
                 idempotency_key=self._key(image, keyframe) if self._drive else None,
                 **self._drive,

@@ -233,6 +233,7 @@ def test_where_odometry_is_trusted_only_what_is_near_is_looked_for() -> None:
     service.closer(within_m=30).add(IMAGE, Keyframe(0, 1.5, -2))
 
     assert b'"near"\r\n\r\n1.5,-2,30\r\n' in service.queries[0]
+    assert b'"frame"\r\n\r\nmap\r\n' in service.queries[0], "metres, though the map may hold views in degrees"
 
 
 def test_where_the_service_knows_no_radius_the_callers_is_taken() -> None:
