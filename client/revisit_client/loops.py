@@ -151,7 +151,7 @@ class LoopCloser:
         if consistent > 1:  # a walk may stand still for long
             named = {"drive": drive or f"loops-{uuid4().hex}", "consistent": consistent, "drive_timeout": 86400}
             self._drive = named
-        self._walk, self._last_counted = uuid4().hex, -math.inf
+        self._walk, self._last_counted, self._begun = uuid4().hex, -math.inf, False
         self._numbers: dict[str, int] = {}
         self.keyframes: list[Keyframe] = []
         self.seen: list[Loop | None] = []
@@ -174,9 +174,10 @@ class LoopCloser:
             The service refused or did not answer, or the map holds another walk. The keyframe is not among
             `keyframes`, and may be added again: it counts once for `consistent`.
         """
-        if not self.keyframes:
+        if not self._begun:  # afterwards the map may hold a keyframe of this one whose answer got lost
             self._refuse_another_walk()
-        elif keyframe.number <= self.keyframes[-1].number:
+            self._begun = True
+        if self.keyframes and keyframe.number <= self.keyframes[-1].number:
             raise ValueError(f"keyframe {keyframe.number} comes after {self.keyframes[-1].number}; numbers grow")
         try:
             seen, agreeing = self._seen(image, keyframe)

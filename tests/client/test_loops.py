@@ -204,6 +204,19 @@ def test_a_keyframe_that_is_added_again_until_it_is_enrolled_counts_once() -> No
     assert len(service.queries) == len(service.seen)
 
 
+def test_a_first_keyframe_that_was_enrolled_while_its_answer_got_lost_is_of_this_walk() -> None:
+    service = Service([])
+    closer = service.closer()
+    service.refuses = True
+    with pytest.raises(RevisitProblem):
+        closer.add(IMAGE, Keyframe(0, 0, 0))
+    service.refuses, service.kept = False, [answers.view(metadata={"keyframe": 0})]
+
+    closer.add(IMAGE, Keyframe(0, 0, 0))
+
+    assert [one.number for one in closer.keyframes] == [0]
+
+
 def test_walks_share_no_answers() -> None:
     service = Service([40, 41, 42])
     for closer in (service.closer(consistent=3), service.closer(consistent=3)):
