@@ -233,6 +233,34 @@ def test_an_image_that_the_map_has_with_another_position_does_not_hold_up_the_ne
     assert [field(body, "x") for body in service.bodies] == ["0.0", "0.0", "3.0"]
 
 
+def test_an_image_whose_call_ended_with_its_node_does_not_hold_up_the_next() -> None:
+    """Of a fleet: another node takes the call that was killed for one that runs, for ten minutes."""
+    service = Service()
+    runs = {"type": "urn:revisit:problem:conflict", "title": "No", "status": 409, "detail": "runs", "request_id": "r"}
+
+    def killed() -> httpx.Response:
+        raise httpx.ReadError("the node was killed")
+
+    def other_node() -> httpx.Response:
+        first = service.keys[-1] == service.keys[0]
+        return httpx.Response(409, json=runs) if first else httpx.Response(201, json=enrolled())
+
+    with driving(service, silence=600) as driven:
+        service.answer = killed
+        driven.image(0.0)
+        assert driven.done() == 0
+        service.answer = other_node
+        for enrolled_by_now in (0, 0, 1):
+            driven.now += 30
+            driven.enroller.go_on()
+            assert driven.done() == enrolled_by_now
+        driven.image(3.0)
+        assert driven.done() == 1
+        assert driven.value("refused") == "0"
+    assert [field(body, "x") for body in service.bodies] == ["0.0"] * 4 + ["3.0"]
+    assert len(set(service.keys[:3])) == 1
+
+
 def test_an_image_on_which_the_service_fails_each_time_is_left_out() -> None:
     service = Service()
     failed = {"type": "urn:revisit:problem:internal", "title": "No", "status": 500, "detail": "x", "request_id": "r"}

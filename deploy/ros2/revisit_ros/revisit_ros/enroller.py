@@ -3,7 +3,7 @@
 import uuid
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from revisit_client import Revisit
@@ -11,7 +11,7 @@ from revisit_client.wire import Enrolled
 
 from revisit_ros.caller import Caller
 from revisit_ros.frames import FORWARD, Transform, heading_of_yaw, yaw_of
-from revisit_ros.health import Link, Report, report, trouble_of
+from revisit_ros.health import Link, Report, Trouble, report, trouble_of
 from revisit_ros.images import Shot
 from revisit_ros.pacing import Pace, Stride, Waiting
 
@@ -31,8 +31,19 @@ class Keyframe:
     y: float
     z: float
     heading: float | None
-    # Of its own and for good: however often it is sent, it becomes one view.
+    # Of its own: however often it is sent, it becomes one view.
     idempotency_key: str = field(default_factory=lambda: uuid.uuid4().hex)
+    is_running: bool = False  # by the last answer, a call with this key
+
+    def after(self, trouble: Trouble) -> "Keyframe":
+        """What is sent again.
+
+        A service keeps the key of a call for ten minutes that ended with its process. So what is said to run twice in
+        a row gets another key; an image is one view of a map whatever its keys are.
+        """
+        if trouble.runs and self.is_running:
+            return replace(self, idempotency_key=uuid.uuid4().hex, is_running=False)
+        return replace(self, is_running=trouble.runs)
 
 
 class Enroller:
@@ -122,7 +133,7 @@ class Enroller:
                 self._failures += trouble.of_image
                 self._link.failed(trouble, now)
                 if trouble.again and self._failures < MOST_FAILURES:
-                    self._waiting.put_back(outcome.job)
+                    self._waiting.put_back(outcome.job.after(trouble))
                 else:
                     self._failures = 0
                     self._counts["refused"] += 1

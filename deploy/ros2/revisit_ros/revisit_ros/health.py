@@ -32,6 +32,8 @@ class Trouble:
         Whether the same call may succeed later.
     of_image : bool
         Whether the image itself may be why, so that it is not sent for ever.
+    runs : bool
+        Whether an earlier call with this Idempotency-Key still runs, as far as the service knows.
     """
 
     state: str
@@ -41,6 +43,7 @@ class Trouble:
     pause_s: float | None = 0.0
     again: bool = False
     of_image: bool = False
+    runs: bool = False
 
 
 def trouble_of(error: Exception) -> Trouble:
@@ -77,7 +80,7 @@ def _trouble_of_problem(problem: RevisitProblem) -> Trouble:
         return Trouble("image refused", WARN, detail, remedy)
     if problem.status in (408, 409):
         remedy = "look at the network between the node and the service; the node tries again"
-        return Trouble("service busy", WARN, detail, remedy, None, again=True)
+        return Trouble("service busy", WARN, detail, remedy, None, again=True, runs=problem.status == 409)
     if problem.status in (429, 503):
         remedy = "lower the parameter rate, or raise the service's limits; the node waits and goes on"
         return Trouble("service busy", WARN, detail, remedy, problem.retry_after_s, again=True)
