@@ -203,6 +203,19 @@ def test_the_document_refers_to_nothing_that_is_missing(client: CheckedClient) -
     assert "HTTPValidationError" not in names
 
 
+def test_the_document_is_one_of_the_version_that_it_names(client: CheckedClient) -> None:
+    """Validators refuse a whole document for one field that this version of OpenAPI does not have."""
+    document = client.get("/openapi.json").json()
+    known = {"schema", "example", "examples", "encoding"}
+    sent = [operation for methods in document["paths"].values() for operation in methods.values()]
+    bodies = [body for one in sent for body in (one.get("requestBody", {}), *one["responses"].values())]
+
+    strange = {field for body in bodies for kind in body.get("content", {}).values() for field in kind.keys() - known}
+
+    assert document["openapi"] == "3.1.0"
+    assert {field for field in strange if not field.startswith("x-")} == set()
+
+
 def test_every_route_documents_its_bodies_and_refusals(client: CheckedClient) -> None:
     paths = client.get("/openapi.json").json()["paths"]
     for path, methods in paths.items():

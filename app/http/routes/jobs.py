@@ -30,7 +30,8 @@ EVENT = {
         "retry": {"type": "integer"},
     },
 }
-"""One event of a job, as OpenAPI 3.2 describes streams."""
+"""One event of a job, as `itemSchema` of OpenAPI 3.2 describes streams: 3.1 has no word for that, and a document with one
+that it does not have is none of 3.1."""
 
 OF_WRITERS = frozenset({"describe", "import"})
 """Kinds of jobs that the scope `write` begins, and so may cancel."""
@@ -62,8 +63,8 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
     dependencies=[no_parameters],
     responses={
         200: {
-            "description": "Server-sent events.",
-            "content": {EventSourceResponse.media_type: {"itemSchema": EVENT}},
+            "description": "Server-sent events named `job`, whose data is the job as `GET /jobs/{job_id}` answers it.",
+            "content": {EventSourceResponse.media_type: {"schema": {"type": "string"}, "x-item-schema": EVENT}},
         },
         **refusals("not-found"),
     },
