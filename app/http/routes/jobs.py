@@ -30,8 +30,8 @@ EVENT = {
         "retry": {"type": "integer"},
     },
 }
-"""One event of a job, as `itemSchema` of OpenAPI 3.2 describes streams; 3.1 has no word for that, and allows none that it
-does not have."""
+"""One event of a job, as `itemSchema` of OpenAPI 3.2 describes streams; 3.1 has no such word,
+and allows none that it does not have."""
 
 OF_WRITERS = frozenset({"describe", "import"})
 """Kinds of jobs that the scope `write` begins, and so may cancel."""
