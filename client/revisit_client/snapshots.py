@@ -1,6 +1,7 @@
 """Calls of the client about snapshots."""
 
 import os
+import uuid
 from functools import partial
 from pathlib import Path
 
@@ -38,15 +39,15 @@ class SnapshotCalls:
         RevisitProblem, Unreachable
         """
         target = Path(path)
-        if target.exists():
-            raise FileExistsError(17, "exists already", str(target))
-        unfinished = target.with_name(f".{target.name}.unfinished")
+        _refuse_existing(target)
+        unfinished = target.with_name(f".{uuid.uuid4().hex}.unfinished")  # another download may be under way to `path`
         try:
-            with unfinished.open("wb") as file:
+            with unfinished.open("xb") as file:
                 for chunk in self._connection.stream(address("snapshots", snapshot_id)):
                     file.write(chunk)
                 file.flush()
                 os.fsync(file.fileno())
+            _refuse_existing(target)
             unfinished.rename(target)
         finally:
             unfinished.unlink(missing_ok=True)
@@ -77,3 +78,8 @@ class SnapshotCalls:
             timeout=self._connection.until_stored,
             repeat=False,
         )
+
+
+def _refuse_existing(target: Path) -> None:
+    if target.exists():
+        raise FileExistsError(17, "exists already", str(target))

@@ -68,6 +68,23 @@ def test_a_download_goes_on_where_its_connection_broke(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_two_downloads_to_one_path_are_not_mixed(tmp_path: Path) -> None:
+    """Of a backup that still runs when the next one begins."""
+    path = tmp_path / "map.snapshot"
+
+    class Slow(httpx.SyncByteStream):
+        def __iter__(self) -> Iterator[bytes]:
+            yield b"first"
+            second = httpx.ByteStream(b"second")
+            client(lambda _: httpx.Response(200, stream=second)).download_snapshot("s2", path)
+            yield b"first"
+
+    with pytest.raises(FileExistsError):
+        client(lambda _: httpx.Response(200, stream=Slow())).download_snapshot("s1", path)
+
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"second", [path])
+
+
 def test_a_download_waits_for_a_service_that_starts_again(tmp_path: Path) -> None:
     handler, _ = parts(5000)
     answers_ = iter([handler, lambda _: refused("unavailable", 503), handler])
