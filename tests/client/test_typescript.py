@@ -62,6 +62,25 @@ def test_mistakes_are_found_while_compiling(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (0, "")
 
 
+@pytest.mark.usefixtures("tools")
+def test_a_program_for_node_compiles_without_the_types_of_a_browser(tmp_path: Path) -> None:
+    """By the names that @types/node makes global: of fetch it has these."""
+    compiler = FOLDER / "node_modules" / ".bin" / "tsc"
+    subprocess.run([compiler, "--project", FOLDER, "--declaration", "--outDir", tmp_path], check=True, timeout=120)
+    shutil.copy(FOLDER / "src" / "openapi.d.ts", tmp_path)
+    (tmp_path / "node.d.ts").write_text(
+        "declare class AbortSignal {}\ndeclare class Blob {}\ndeclare class FormData {}\ndeclare class Response {}\n"
+        "interface RequestInit { body?: string | Blob | FormData | null }\n"
+        "declare function fetch(address: string, init?: RequestInit): Promise<Response>;\n"
+    )
+    options = ["--noEmit", "--strict", "--target", "ES2022", "--lib", "ES2022", "--moduleResolution", "bundler"]
+    files = [tmp_path / "revisit.d.ts", tmp_path / "node.d.ts"]
+    done = subprocess.run(
+        [compiler, *options, "--module", "ES2022", *files], capture_output=True, text=True, timeout=120, cwd=tmp_path
+    )
+    assert (done.returncode, done.stdout) == (0, "")
+
+
 def test_node_speaks_to_a_service(generate: ModuleType, tmp_path: Path) -> None:
     node = shutil.which("node")
     if node is None:

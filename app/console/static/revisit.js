@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from c34b0576bd4a2746876752b3c636bdb70ba18135213d00bafcab898bcaf98f67
+// By client/typescript/generate.py, from 62e427ed983ad83edb8c9192113ebd9f0ee0e7999352b1380ee59e1ceb5c9159
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });

@@ -39,7 +39,7 @@ export interface Options {
   /** Parameters of the URL; those that are null, undefined or "" are left out. */
   query?: Record<string, unknown>;
   /** Body of another kind than JSON: a form, a file. */
-  body?: BodyInit | null;
+  body?: RequestInit["body"];
   /** Body as JSON. */
   json?: unknown;
   /** Media type of the body; of JSON application/json, of a form what the browser makes of it. */
