@@ -30,8 +30,7 @@ EVENT = {
         "retry": {"type": "integer"},
     },
 }
-"""One event of a job, as `itemSchema` of OpenAPI 3.2 describes streams; 3.1 has no such word,
-and allows none that it does not have."""
+"""One event of a job: 3.1 has no `itemSchema` for streams, as 3.2 has, and readers take `schema` for that of each."""
 
 OF_WRITERS = frozenset({"describe", "import"})
 """Kinds of jobs that the scope `write` begins, and so may cancel."""
@@ -64,7 +63,7 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
     responses={
         200: {
             "description": "Server-sent events named `job`, whose data is the job as `GET /jobs/{job_id}` answers it.",
-            "content": {EventSourceResponse.media_type: {"schema": {"type": "string"}, "x-item-schema": EVENT}},
+            "content": {EventSourceResponse.media_type: {"schema": EVENT}},
         },
         **refusals("not-found"),
     },
