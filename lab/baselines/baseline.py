@@ -46,14 +46,28 @@ def rank_readable(
 
     Only where it fails on such an image are all of them looked at, and the others ranked again.
     """
+    told = 0
+
+    def first() -> None:
+        nonlocal told
+        told += 1
+        tick()
+
+    def again() -> None:
+        """Tells only of images that the first ranking did not come to."""
+        nonlocal told
+        told -= 1
+        if told < 0:
+            tick()
+
     with suppress(BadImage):
-        return baseline.rank(database, queries, tick), 0
+        return baseline.rank(database, queries, first), 0
     decode = baseline.decode if isinstance(baseline, Decoding) else grey
     kept = [[i for i, path in enumerate(paths) if _readable(path, decode)] for paths in (database, queries)]
     distances = np.full((len(queries), len(database)), np.inf, np.float32)
     if all(kept):
         known, queried = kept
-        some = baseline.rank([database[i] for i in known], [queries[i] for i in queried], tick)
+        some = baseline.rank([database[i] for i in known], [queries[i] for i in queried], again)
         distances[np.ix_(queried, known)] = some
     return distances, len(database) + len(queries) - sum(map(len, kept))
 

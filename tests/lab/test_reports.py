@@ -135,6 +135,15 @@ def test_images_that_cannot_be_decoded_do_not_end_a_run(tmp_path: Path) -> None:
     assert "a right answer 3.jpg, which cannot be decoded" in page
 
 
+def test_images_that_are_ranked_again_are_told_of_once(tmp_path: Path) -> None:
+    files = [image(tmp_path / f"{i}.jpg", i) for i in range(10)]
+    files[7].write_bytes(b"junk")
+    told: list[tuple[int, int]] = []
+    dataset = Dataset("walk", tuple(files), tuple(files[:1]), (np.array([0]),), "same frame")
+    run(dataset, [], [TinyImage()], progress=lambda _, done, total: told.append((done, total)))
+    assert told == [(done, 11) for done in range(1, 11)]
+
+
 def test_the_command_writes_its_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("database", "query"):
         for i in range(25):
