@@ -72,6 +72,17 @@ def test_half_precision_of_the_same_numbers_is_the_same_network(tmp_path: Path) 
     assert load(second, small.SMALL)[0].clip_pretrained.text_projection.dtype == torch.float32
 
 
+def test_double_precision_of_the_same_numbers_is_the_same_network(tmp_path: Path, file: Path) -> None:
+    doubles = {name: t.double() if t.is_floating_point() else t for name, t in small.state().items()}
+    network, digest = load(small.save(doubles, tmp_path / "doubles.ckpt"), small.SMALL)
+    assert digest == check(file, small.SMALL).digest
+    assert {tensor.dtype for tensor in network.state_dict().values()} == {torch.float32}
+    doubles[NORM] = doubles[NORM] * 1e300
+    assert check(small.save(doubles, tmp_path / "beyond.ckpt"), small.SMALL).differences == (
+        f"{NORM}: holds values that are not finite",
+    )
+
+
 def test_other_numbers_are_other_weights(tmp_path: Path, file: Path) -> None:
     changed = small.state()
     changed[HEAD][0, 0] += 1e-3

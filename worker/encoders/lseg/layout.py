@@ -14,7 +14,7 @@ Shape = tuple[int, ...]
 SHOWN = 8
 """Names or differences that one sentence lists."""
 
-FLOATS = frozenset({torch.float32, torch.float16, torch.bfloat16})
+FLOATS = frozenset({torch.float64, torch.float32, torch.float16, torch.bfloat16})
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,6 @@ def differences(tensors: Mapping[str, Tensor], layout: Layout) -> tuple[str, ...
             found.append(f"{name}: shape {list(tensor.shape)}, expected {list(known[name])}")
         elif name in layout.used and tensor.dtype not in FLOATS:
             found.append(f"{name}: {tensor.dtype}, expected a floating-point type")
-        elif name in layout.used and not bool(tensor.sum(dtype=torch.float64).isfinite()):
+        elif name in layout.used and not bool(tensor.float().sum(dtype=torch.float64).isfinite()):
             found.append(f"{name}: holds values that are not finite")
     return tuple(found)
