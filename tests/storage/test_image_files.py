@@ -3,8 +3,10 @@
 import errno
 import os
 import shutil
+import sqlite3
 import stat
-from contextlib import suppress
+import tracemalloc
+from contextlib import closing, suppress
 from itertools import count
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -19,6 +21,8 @@ from schemas.errors import Conflict, Damaged, DiskFull, NotFound
 from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW, Follower, describe_all, enroll, facts, image
+from worker.storage import wal
+from worker.storage.examining import examine
 from worker.storage.image_files import Images, sync_folder
 from worker.storage.owner_file import OWNER
 from worker.storage.store import SqlStore, open_store
@@ -148,6 +152,51 @@ def test_a_log_whose_last_frame_is_unfinished_is_that_of_a_killed_process(
     opened.close()
 
     assert [path.name for path in files(copy)] == [facts(image("pond")).sha256]
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_log_of_a_process_that_was_killed_in_a_long_transaction(
+    damaged: bool, store: SqlStore, data: Path, tmp_path: Path
+) -> None:
+    """What the cache does not hold is in the log before the commit, and SQLite writes it over there: such frames do not
+    fit their checksums, and hide no commit."""
+    for number in range(20):
+        enroll(store, f"gate {number}")
+    committed = (data / "revisit.db-wal").stat().st_size
+    copy = tmp_path / "data"
+    with closing(sqlite3.connect(data / "revisit.db", isolation_level=None)) as migrating:
+        migrating.execute("PRAGMA cache_size=5")
+        migrating.execute("BEGIN IMMEDIATE")
+        migrating.execute("CREATE TABLE long (number INTEGER PRIMARY KEY, body BLOB)")
+        for _ in range(3):
+            for number in range(100):
+                migrating.execute("INSERT OR REPLACE INTO long VALUES (?, randomblob(8000))", [number])
+        shutil.copytree(data, copy)
+        migrating.execute("ROLLBACK")
+    log = copy / "revisit.db-wal"
+    assert log.stat().st_size > committed + 100 * 8192
+    if damaged:
+        content = bytearray(log.read_bytes())
+        content[committed * 2 // 3] ^= 1
+        log.write_bytes(content)
+
+    fault = wal.fault(log)
+    found = [finding.what for finding in examine(sqlite_url(copy), copy)]
+
+    assert (fault is not None, bool(found)) == (damaged, damaged)
+
+
+def test_a_log_is_looked_through_without_all_of_it_in_memory(data: Path) -> None:
+    with closing(sqlite3.connect(data / "revisit.db", isolation_level=None)) as connection:
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("CREATE TABLE long (body BLOB)")
+        connection.execute("INSERT INTO long VALUES (zeroblob(20000000))")
+        tracemalloc.start()
+        try:
+            assert wal.fault(data / "revisit.db-wal") is None
+            assert tracemalloc.get_traced_memory()[1] < 2_000_000
+        finally:
+            tracemalloc.stop()
 
 
 def test_a_crash_while_writing_leaves_an_unfinished_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:

@@ -6,9 +6,11 @@ right after a power failure, and silent about commits that a damaged byte hides.
 Source: https://sqlite.org/fileformat2.html, section 4 (WAL-mode file format).
 """
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
+from typing import BinaryIO
 
 _HEADER = Struct(">8I")  # magic, format, page size, sequence, two salts, two checksums
 _FRAME = Struct(">6I")  # page, pages after a commit (0: none), two salts, two checksums
@@ -21,42 +23,51 @@ UNFINISHED = "its last frame is unfinished or damaged; if that was a commit, it 
 def fault(path: Path) -> str | None:
     """What is wrong with a log, or None; an absent or empty one is whole."""
     try:
-        log = path.read_bytes()
+        with path.open("rb") as log:
+            return _fault(log, os.fstat(log.fileno()).st_size)
     except FileNotFoundError:
         return None
-    if not log:
+
+
+def _fault(log: BinaryIO, end: int) -> str | None:
+    """The same of an open file of this length, which a long transaction makes as large as the database."""
+    if end == 0:
         return None
-    if len(log) < _HEADER.size:
+    head = log.read(_HEADER.size)
+    if len(head) < _HEADER.size:
         return "its header is cut off, so that none of its commits can be read"
-    magic, _, page_size, _, *salts, first, second = _HEADER.unpack_from(log)
+    magic, _, page_size, _, *salts, first, second = _HEADER.unpack(head)
     order = "big" if magic & 1 else "little"
-    if magic not in _MAGIC or _sums(log[: _HEADER.size - 8], (0, 0), order) != (first, second):
+    if magic not in _MAGIC or _sums(head[:-8], (0, 0), order) != (first, second):
         return "its header is damaged, so that none of its commits can be read"
     sums = (first, second)
     size = _FRAME.size + page_size
-    for start in range(_HEADER.size, len(log), size):
-        frame = log[start : start + size]
+    for number, start in enumerate(range(_HEADER.size, end, size), 1):
+        frame = log.read(size)
         if len(frame) < _FRAME.size or list(_FRAME.unpack_from(frame)[2:4]) != salts:
             # The frames of an earlier round of the log follow, or a part of one: unless commits of this round do.
-            if _goes_on(log, start + size, size, salts):
-                return f"frame {(start - _HEADER.size) // size + 1} is damaged; commits after it cannot be read"
+            if any(True for _ in _later(log, range(start + size, end - _FRAME.size, size), salts)):
+                return f"frame {number} is damaged; commits after it cannot be read"
             return UNFINISHED if len(frame) < _FRAME.size else None
         found = _FRAME.unpack_from(frame)
         sums = _sums(frame[:8] + frame[_FRAME.size :], sums, order) if len(frame) == size else (-1, -1)
         if sums != tuple(found[4:]):
-            if not _goes_on(log, start + size, size, salts):
+            later = list(_later(log, range(start + size, end - _FRAME.size, size), salts))
+            if not later:
                 return UNFINISHED
-            return (
-                f"frame {(start - _HEADER.size) // size + 1} of {-(-(len(log) - _HEADER.size) // size)} is damaged; "
-                "commits from it on cannot be read"
-            )
+            if not found[1] and not any(later):
+                return None  # of a transaction that never ended: it writes pages over, and their checksums at its end
+            return f"frame {number} of {-(-(end - _HEADER.size) // size)} is damaged; commits from it on cannot be read"
     return None
 
 
-def _goes_on(log: bytes, start: int, size: int, salts: list[int]) -> bool:
-    """Whether any later frame is of the round with these salts."""
-    later = range(start, len(log) - _FRAME.size, size)
-    return any(list(_FRAME.unpack_from(log, at)[2:4]) == salts for at in later)
+def _later(log: BinaryIO, starts: range, salts: list[int]) -> Iterator[int]:
+    """Of each later frame of the round with these salts the number of pages after a commit (0: none)."""
+    for start in starts:
+        log.seek(start)
+        frame = log.read(_FRAME.size)
+        if len(frame) == _FRAME.size and list(_FRAME.unpack(frame)[2:4]) == salts:
+            yield int(_FRAME.unpack(frame)[1])
 
 
 def _sums(data: bytes, sums: tuple[int, int], order: str) -> tuple[int, int]:
