@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -16,11 +17,13 @@ from PIL import Image as PilImage
 from app.cli.__main__ import main
 from lab.faults.data_folder import Known, files, make, settings_of
 from scenes import scene
+from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW
 from tests.stories.photos import jpeg
 from tests.stories.running import ROOT, RunningService
 from worker.runtime import build
 from worker.storage.locks import lock_for_serving
+from worker.storage.repairing import repair
 
 pytestmark = pytest.mark.one_database("it is about SQLite's own file; tests/storage examines rows on both")
 
@@ -200,6 +203,23 @@ def test_a_corrupt_page_costs_what_was_on_it_and_that_is_described_again(
             assert (record.state, record.attributes.place) == ("ready", known.place)
     finally:
         runtime.stop()
+
+
+def test_a_large_database_is_repaired_without_all_of_it_in_memory(data: Path) -> None:
+    with closing(sqlite3.connect(data / "revisit.db")) as connection, connection:
+        connection.execute("CREATE TABLE more (body BLOB)")
+        connection.execute("INSERT INTO more VALUES (zeroblob(40000000))")
+    break_page(data)
+    (data / "revisit.db-wal").write_bytes(b"no log" * 7_000_000)
+    tracemalloc.start()
+    try:
+        done, _ = repair(sqlite_url(data), data)
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
+    assert any("was damaged; what can be read was copied" in line for line in done)
+    whole = [path.name[:14] for path in data.glob("revisit.db*.damaged-*") if path.stat().st_size > 40_000_000]
+    assert sorted(whole) == ["revisit.db-wal", "revisit.db.dam"]
 
 
 @pytest.mark.parametrize(

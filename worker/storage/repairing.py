@@ -6,6 +6,7 @@ themselves, or set aside, and views without a description are queued to be descr
 """
 
 import os
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -94,7 +95,7 @@ def _mend_file(url: str, done: list[str]) -> bool:
     try:
         if (fault := wal.fault(log)) is not None:
             kept = _beside(log)
-            kept.write_bytes(log.read_bytes())
+            shutil.copyfile(log, kept)
             done.append(f"{log}: {fault}; commits before that were taken over, a copy is in {kept.name}")
             lost = True
         blocked = file_finding(path)
@@ -180,10 +181,10 @@ def _salvage(path: Path) -> str | None:
     old, new = _beside(path), path.with_name(path.name + ".new")
     for leftover in (new, Path(f"{new}-wal"), Path(f"{new}-shm")):
         leftover.unlink(missing_ok=True)
-    old.write_bytes(path.read_bytes())
+    shutil.copyfile(path, old)
     log = path.with_name(path.name + "-wal")
     if log.exists():
-        Path(f"{old}-wal").write_bytes(log.read_bytes())
+        shutil.copyfile(log, f"{old}-wal")
     counts: dict[str, int] = {}
     for attempt in ("as it is", "with a new head"):
         if attempt != "as it is":
