@@ -141,6 +141,15 @@ def test_a_start_that_takes_long_is_waited_for_no_longer_but_not_killed() -> Non
         assert subprocess.run(waiting, env=os.environ | {"MAINPID": str(main)}, check=False).returncode == code
 
 
+def test_systemd_does_not_give_up_while_the_database_is_away() -> None:
+    """It starts nothing more than five times in ten seconds, where a unit does not say otherwise."""
+    for name in ("revisit.service", "revisit-worker.service"):
+        unit = (ROOT / "deploy" / name).read_text()
+        assert "StartLimit" not in unit
+        [pause_s] = re.findall(r"^RestartSec=(\d+)$", unit, re.MULTILINE)
+        assert 5 * int(pause_s) > 10
+
+
 def test_neither_unit_waits_for_the_other() -> None:
     """A node counts as started once a worker is alive: one that waited for the node would keep both from starting."""
     units = {"revisit.service", "revisit-worker.service"}
