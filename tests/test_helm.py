@@ -112,6 +112,13 @@ def test_what_is_probed_is_a_route_of_the_port_that_is_served() -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
+def test_a_node_that_cannot_enrol_is_still_reached_by_queries_and_deletions(name: str) -> None:
+    """`/readyz` says of every node at once that nothing can be enrolled, and a service without nodes answers nobody."""
+    nodes = [pod["containers"][0] for pod in pods(EXAMPLES[name]) if pod["containers"][0]["args"] == ["serve"]]
+    assert {node["readinessProbe"]["httpGet"]["path"] for node in nodes} == {"/livez"}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_no_process_has_more_rights_than_it_needs(name: str) -> None:
     for pod in pods(EXAMPLES[name]):
         assert pod["automountServiceAccountToken"] is False
