@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from worker.method import own_calibration
 from worker.method.calibration import Calibration, Doubles, Isotonic, Logistic
 from worker.method.own_calibration import (
     BIAS_STIFFNESS,
@@ -163,6 +164,22 @@ def test_queries_are_judged_by_a_curve_that_has_not_seen_their_block() -> None:
     apart = replace(together, blocks=np.arange(1000))
     held_out, leaked = (calibrate(one, SHIPPED, 0.97).own_does.log_loss for one in (together, apart))
     assert held_out > leaked
+
+
+def test_thresholds_that_judge_queries_do_not_depend_on_their_labels(monkeypatch: pytest.MonkeyPatch) -> None:
+    features, right = site(9, 100)
+    chosen: list[Doubles] = []
+
+    def choosing(probability: Doubles, right: Booleans, shipped: Calibration) -> Doubles:
+        chosen.append(choose_thresholds(probability, right, shipped))
+        return chosen[-1]
+
+    monkeypatch.setattr(own_calibration, "choose_thresholds", choosing)
+    first = np.arange(100) < 20
+    for labels in (right, right ^ first):
+        calibrate(Labelled(features, labels, labels, np.arange(100) // 20), SHIPPED, 0.97)
+    assert chosen[0].tolist() == chosen[6].tolist(), "the fold of the first block"
+    assert chosen[5].tolist() != chosen[11].tolist(), "of all of them"
 
 
 def test_false_accepts_are_counted_among_queries_whose_place_the_map_lacks() -> None:

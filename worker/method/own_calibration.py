@@ -239,12 +239,18 @@ def calibrate(labelled: Labelled, shipped: Calibration, precision: float) -> Fit
         mine = fold == number
         curves[number] = adjust(shipped.curve, labelled.features[~mine], labelled.right[~mine])
         probability[mine] = curves[number].probability(labelled.features[mine])
-    # Thresholds, too, are judged by queries that they were not chosen by.
+    # Thresholds, too, are judged by queries that they were not chosen by, nor by curves that were fitted to these.
     limits = np.empty((len(fold), len(shipped.precisions)))
     matched = np.zeros(len(fold), np.bool_)
     for number in numbers:
         mine = fold == number
-        chosen = choose_thresholds(probability[~mine], labelled.right[~mine], shipped)
+        apart = np.empty(len(fold))
+        for other in numbers[numbers != number]:
+            theirs = fold == other
+            rest = ~(mine | theirs)
+            curve = adjust(shipped.curve, labelled.features[rest], labelled.right[rest])
+            apart[theirs] = curve.probability(labelled.features[theirs])
+        chosen = choose_thresholds(apart[~mine], labelled.right[~mine], shipped)
         limits[mine] = chosen
         kept = replace(shipped, curve=curves[number], thresholds=chosen)
         matched[mine] = probability[mine] >= kept.threshold(precision)
