@@ -172,12 +172,13 @@ class Connection:
 
     def pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:
         """Iterate over the pages of a list, fetched as needed."""
+        there = False
         while True:
-            page = self.receive(model, "GET", path, params=params)
+            page = self.receive(model, "GET", path, params=params, there=there)
             yield page
             if page.next is None:
                 return
-            params = {**params, "cursor": page.next}
+            params, there = {**params, "cursor": page.next}, True
 
     def send(
         self,

@@ -141,10 +141,11 @@ class JobCalls:
 
     def _states(self, job_id: str, deadline: float) -> Iterator[wire.Job]:
         """The job without end: sent by the service as it changes, asked for where no events come through."""
-        pause = 0.05
+        pause, there = 0.05, False
         while True:
-            job = self.job(job_id)
+            job = self._connection.receive(wire.Job, "GET", address("jobs", job_id), there=there)
             yield job
+            there = True
             silence = max(0.1, min(SILENCE_S, deadline - self._clock()))
             try:
                 for now in self._connection.events(wire.Job, address("jobs", job_id, "events"), silence):

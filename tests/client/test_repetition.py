@@ -196,6 +196,26 @@ def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
     assert clock.naps == [0.25, 0.5, 1.0]
 
 
+def test_a_service_that_starts_again_between_two_pages_or_looks_is_waited_for() -> None:
+    """A list of many views and a long job are one call each, whatever lies between the requests that it takes."""
+    closed = httpx.ConnectError("[Errno 111] Connection refused")
+    pages = [
+        httpx.Response(200, json={"views": [answers.view(one)], "next": more})
+        for one, more in (("a", "b"), ("b", None))
+    ]
+    handler = in_turn(pages[0], closed, closed, pages[1])
+
+    assert [view.id for view in client(handler).views("walk")] == ["a", "b"]
+
+    events = {"content-type": "text/event-stream"}
+    broken = httpx.Response(200, headers=events, stream=Broken(b": alive\n\n"))
+    handler = in_turn(
+        httpx.Response(200, json=answers.job()), broken, closed, httpx.Response(200, json=answers.job("done"))
+    )
+
+    assert client(handler).wait_for_job("j1").state == "done"
+
+
 @pytest.mark.parametrize("folder", [False, True])
 def test_a_recording_is_sent_again_from_its_beginning_to_a_service_that_was_starting(
     folder: bool, tmp_path: Path
