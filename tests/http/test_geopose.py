@@ -267,6 +267,17 @@ def test_what_is_no_image_is_refused_as_everywhere(client: CheckedClient) -> Non
     assert (refused.status_code, refused.json()["type"]) == (415, "urn:revisit:problem:not-a-picture")
 
 
+def test_what_is_asked_for_may_stand_in_two_lines(client: CheckedClient) -> None:
+    """As where a library has one of its own: both are one list (RFC 9110, 5.3)."""
+    plain = ("accept", "text/html")
+    client.post("/enroll", content=photo(), headers={"content-type": "image/jpeg"})
+
+    ogc = [plain, ("accept", geopose.OGC), ("content-type", "image/jpeg")]
+    assert client.post("/query", content=photo(), headers=ogc).json()["type"] == "urn:revisit:problem:no-pose"
+    oscp = [plain, ("accept", geopose.OSCP_VERSION)]
+    assert client.post("/localize/geopose", json=request(), headers=oscp).json().keys() == {"ERROR"}
+
+
 def test_a_query_without_a_pose_says_why(client: CheckedClient) -> None:
     headers = {"accept": "application/geopose+json", "content-type": "image/jpeg"}
 

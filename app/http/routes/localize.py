@@ -77,7 +77,7 @@ async def localize(
 ) -> Response:
     """Where was this image taken? Answers the pose of the views that show its place."""
     check_map(access, params.map)
-    if not speaks_oscp(request.headers.get("accept", "")):
+    if not speaks_oscp(",".join(request.headers.getlist("accept"))):
         raise BadBody("bad-request", f"send `Accept: {OSCP_VERSION}`, the version that is spoken here")
     wanted = _read(await json_object(request, LARGEST))
     charge_images(request, 1)

@@ -79,7 +79,7 @@ async def query(
         if params.changes:
             caller.check()  # it has photos encoded
             answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
-    if wants_geopose(request.headers.get("accept", "")):
+    if wants_geopose(",".join(request.headers.getlist("accept"))):
         return Response(json.dumps(basic_ypr(answer)), media_type=OGC)
     return Response(answer.model_dump_json(), media_type="application/json")
 
