@@ -267,7 +267,7 @@ def test_what_is_no_image_is_refused_as_everywhere(client: CheckedClient) -> Non
     assert (refused.status_code, refused.json()["type"]) == (415, "urn:revisit:problem:not-a-picture")
 
 
-def test_what_is_asked_for_may_stand_in_two_lines(client: CheckedClient) -> None:
+def test_accept_may_be_sent_twice(client: CheckedClient) -> None:
     """As where a library has one of its own: both are one list (RFC 9110, 5.3)."""
     plain = ("accept", "text/html")
     client.post("/enroll", content=photo(), headers={"content-type": "image/jpeg"})
