@@ -8,9 +8,13 @@ Source: https://sqlite.org/fileformat2.html, section 4 (WAL-mode file format).
 
 import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from struct import Struct
 from typing import BinaryIO
+
+import numpy as np
+import numpy.typing as npt
 
 _HEADER = Struct(">8I")  # magic, format, page size, sequence, two salts, two checksums
 _FRAME = Struct(">6I")  # page, pages after a commit (0: none), two salts, two checksums
@@ -71,13 +75,25 @@ def _later(log: BinaryIO, starts: range, salts: list[int]) -> Iterator[int]:
 
 
 def _sums(data: bytes, sums: tuple[int, int], order: str) -> tuple[int, int]:
+    """The checksums behind some bytes, from those before them.
+
+    Each is the sum of the two before it and of the next 32-bit word ``x``: ``s[i] = s[i-2] + s[i-1] + x[i]``. So a word
+    counts in the last one as often as the Fibonacci number of its distance from the end says.
+    """
+    words = np.frombuffer(data, ">u4" if order == "big" else "<u4").astype(np.uint32)
+    count = len(words)
+    numbers = _fibonacci(count)
     first, second = sums
-    for one, other in _pairs(data, order):
-        first = (first + one + second) & 0xFFFFFFFF
-        second = (second + other + first) & 0xFFFFFFFF
-    return first, second
+    before, here, after = (int(number) for number in numbers[count - 1 :])
+    last_but_one = int(words @ numbers[count - 1 :: -1]) + first * before + second * here
+    last = int(words @ numbers[count:0:-1]) + first * here + second * after
+    return last_but_one & 0xFFFFFFFF, last & 0xFFFFFFFF
 
 
-def _pairs(data: bytes, order: str) -> Iterator[tuple[int, int]]:
-    numbers = memoryview(data).cast("I") if order == "little" else Struct(f">{len(data) // 4}I").unpack(data)
-    return zip(numbers[::2], numbers[1::2], strict=True)
+@cache
+def _fibonacci(count: int) -> npt.NDArray[np.uint32]:
+    """Fibonacci numbers from the zeroth to the one of `count` + 1, of their lowest 32 bits, uint32."""
+    numbers = [0, 1]
+    while len(numbers) < count + 2:
+        numbers.append((numbers[-2] + numbers[-1]) & 0xFFFFFFFF)
+    return np.array(numbers, np.uint32)
