@@ -95,30 +95,29 @@ def test_a_new_database_takes_no_images_that_are_there_already(place: Place, oth
     assert place.store._images.owner() is None
 
 
+def found_and_repaired(place: Place, other: SqlStore) -> list[str]:
+    """What the doctor finds, of another database with the images of this place, before it repairs."""
+    url, folder = str(other._database.engine.url), other._data
+    other.close()
+    findings = [finding.what for finding in examine(url, folder, images=place.address)]
+    repair(url, folder, images=place.address)
+    return findings
+
+
 def test_the_doctor_calls_none_of_them_orphans_and_removes_none(place: Place, other: SqlStore) -> None:
     theirs = enroll(place.store, "gate").view
     served(place)
     enroll(other, "pond")
-    url, folder = str(other._database.engine.url), other._data
-    other.close()
 
-    findings = [finding.what for finding in examine(url, folder, images=place.address)]
-    repair(url, folder, images=place.address)
-
-    assert findings == ["says that the images are of another database"]
+    assert found_and_repaired(place, other) == ["says that the images are of another database"]
     assert place.store.views.image(theirs.id) == image("gate")
 
 
 def test_the_doctor_keeps_what_a_new_database_takes_none_of(place: Place, other: SqlStore) -> None:
     theirs = enroll(place.store, "gate").view  # by a version that told nobody
     other.recover()
-    url, folder = str(other._database.engine.url), other._data
-    other.close()
 
-    findings = [finding.what for finding in examine(url, folder, images=place.address)]
-    repair(url, folder, images=place.address)
-
-    assert findings == ["holds images already, and nothing was ever enrolled into the database"]
+    assert found_and_repaired(place, other) == ["holds images already, and nothing was ever enrolled into the database"]
     assert place.store.views.image(theirs.id) == image("gate")
 
 

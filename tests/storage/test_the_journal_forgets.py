@@ -16,7 +16,7 @@ from worker.storage.database import Database
 from worker.storage.store import SqlStore, open_store
 
 GARDEN = "the garden of anna"
-PHOTO = b"\xff\xd8 a photo of a stranger \xff\xd9"
+PHOTO = b"\xff\xd8 a photo of a passer-by \xff\xd9"
 
 
 @pytest.fixture

@@ -35,7 +35,9 @@ export function placing(map, next) {
       if (mine !== drawn) return; // another map was chosen meanwhile
       if (!shown) body.replaceChildren("This map has no positions yet: the first ones come from fields or a CSV file.");
     } catch (error) {
-      body.replaceChildren(problemBox(error));
+      if (mine !== drawn) return;
+      if (!shown) body.replaceChildren();
+      body.append(problemBox(error)); // below as much of the plan as came
     }
   }
 

@@ -223,7 +223,7 @@ export async function outline(map, add, wanted) {
 
 /** Parameters of a list of the views within some metres of a position; null where that has no coordinates. */
 export function near(position, within) {
-  if (typeof position?.x === "number") return { near: `${position.x},${position.y},${within}` };
+  if (typeof position?.x === "number") return { near: `${position.x},${position.y},${within}`, frame: "map" };
   if (typeof position?.lat === "number") return { near: `${position.lat},${position.lon},${within}`, frame: "geo" };
   return null;
 }
