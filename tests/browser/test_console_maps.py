@@ -246,7 +246,7 @@ def test_another_recipe_is_tried_in_the_shadow_and_switched_to(opened: Open, ser
     tab.page.get_by_label("Those that move").fill("car, tree")
     tab.page.get_by_label("Queries to compare").fill("5")
     tab.page.get_by_text("1 parameter differs from the preset").click()
-    assert tab.page.get_by_role("row", name="ranking.candidates 7 50").is_visible()
+    tab.page.get_by_role("row", name="ranking.candidates 7 50").wait_for()  # it is unfolded in a moment
     tab.page.get_by_label("Parameters and ranking as the preset has them now").check()
     check(tab, "a recipe")
 
