@@ -13,7 +13,7 @@ import yaml
 from app.cli.__main__ import parser
 from app.version import VERSION
 from schemas.settings import read_settings
-from tests.http.fakes import FakeRuntime
+from tests.http.document import document
 
 kubernetes_validate = pytest.importorskip("kubernetes_validate")
 
@@ -103,7 +103,7 @@ def test_every_process_is_one_of_ours_with_settings_that_are_accepted(name: str)
 
 
 def test_what_is_probed_is_a_route_of_the_port_that_is_served() -> None:
-    paths = FakeRuntime().app().openapi()["paths"]
+    paths = document()["paths"]
     (node,) = (pod["containers"][0] for pod in pods(()))
 
     assert node["ports"] == [{"name": "http", "containerPort": read_settings({}).port}]

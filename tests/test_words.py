@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.http.fakes import FakeRuntime
+from tests.http.document import document
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("app", "worker", "schemas", "client", "lab", "scenes", "training", "tests")
@@ -97,6 +97,5 @@ def fields(schema: Any) -> Iterator[str]:
 
 
 def test_none_is_on_the_wire() -> None:
-    document = FakeRuntime().app().openapi()
-    found = {name for name in fields(document) if name in BANNED_FIELDS or parts(name) & BANNED_PARTS}
+    found = {name for name in fields(document()) if name in BANNED_FIELDS or parts(name) & BANNED_PARTS}
     assert found == set()

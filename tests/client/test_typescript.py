@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.http.fakes import FakeRuntime
+from tests.http.document import document
 from tests.sample_images import photo
 from tests.stories.running import ROOT, RunningService
 
@@ -35,9 +35,8 @@ def tools() -> None:
 
 
 def test_the_types_are_made_from_the_document_of_this_service(generate: ModuleType) -> None:
-    document = FakeRuntime().app().openapi()
     first = generate.TYPES.read_text().partition("\n")[0] + "\n"
-    assert first == generate.header(generate.digest_of_types(document)), f"{generate.TYPES} {OLD}"
+    assert first == generate.header(generate.digest_of_types(document())), f"{generate.TYPES} {OLD}"
 
 
 def test_the_console_loads_what_is_made_from_the_source(generate: ModuleType) -> None:
@@ -47,8 +46,7 @@ def test_the_console_loads_what_is_made_from_the_source(generate: ModuleType) ->
 
 @pytest.mark.usefixtures("tools")
 def test_both_files_can_be_made_again(generate: ModuleType, tmp_path: Path) -> None:
-    document = FakeRuntime().app().openapi()
-    assert generate.types(document, tmp_path) == generate.TYPES.read_text()
+    assert generate.types(document(), tmp_path) == generate.TYPES.read_text()
     assert generate.served(tmp_path) == generate.SERVED.read_text()
 
 

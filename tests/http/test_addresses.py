@@ -8,12 +8,13 @@ import pytest
 from app.http.cors import METHODS, READ, SENT
 from schemas.errors import SetupError
 from schemas.settings import Settings, read_settings
+from tests.http.document import document
 from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.keys_in_memory import KeyMaker
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 
-DOCUMENT = FakeRuntime().app().openapi()
+DOCUMENT = document()
 READABLE = sorted(path for path, methods in DOCUMENT["paths"].items() if "get" in methods)
 MUSEUM = {"origin": "https://museum.example"}
 

@@ -20,6 +20,7 @@ from app.http.scopes import OPEN_PATHS, ROUTES
 from schemas import wire
 from schemas.keys import SCOPES, Scope
 from schemas.settings import Settings
+from tests.http.document import document
 from tests.http.fakes import FakeRuntime
 from tests.keys_in_memory import KeyMaker
 from tests.openapi import UNDOCUMENTED, CheckedClient
@@ -30,7 +31,7 @@ from worker.service.keys import FRESH_S, checksum, new_key
 JPEG = encoded(drawn(64, 64), "jpeg")
 IMAGE = {"content-type": "image/jpeg"}
 
-DOCUMENT = FakeRuntime().app().openapi()
+DOCUMENT = document()
 ALL_ROUTES = sorted(
     {(method.upper(), path) for path, methods in DOCUMENT["paths"].items() for method in methods}
     | {("GET", path) for path in UNDOCUMENTED}

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.http.fakes import FakeRuntime
+from tests.http.document import document
 from tests.openapi import UNDOCUMENTED, CheckedClient
 from tests.sample_images import photo
 
-DOCUMENT = FakeRuntime().app().openapi()
+DOCUMENT = document()
 OPERATIONS = [(method, path) for path, methods in DOCUMENT["paths"].items() for method in methods] + [
     ("get", path) for path in UNDOCUMENTED
 ]
