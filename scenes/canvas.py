@@ -50,33 +50,34 @@ class Canvas:
             return  # seen exactly edge-on
         to_surface = np.linalg.inv(to_image)
         to_surface = to_surface @ np.array([[1, 0, left], [0, 1, top], [0, 0, 1.0]])
+        area = (right - left, bottom - top)
+        mask = np.zeros((area[1], area[0]), np.uint8)
+        fixed = np.round((on_image - (left, top)) * 256).astype(np.int32)
+        cv2.fillConvexPoly(mask, fixed, 255, lineType=cv2.LINE_8, shift=8)
+        a, b, c = to_surface[2]
+        columns = (a * np.arange(area[0]) + c).astype(np.float32)
+        rows = (b * np.arange(area[1])).astype(np.float32)
+        closeness = rows[:, None] + columns[None, :]
+        front = self._in_front(window, mask, closeness)
+        if front is None:
+            return
         size = self._needed(surface.texture.shape, to_image, to_surface, on_image, window)
-        labels = surface.label
-        if not isinstance(labels, int) and size is not None:
-            labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
         glow = None if surface.glow is None else _shrunk(surface.glow, size)
         texture = light(surface, _shrunk(surface.texture, size), glow)
         height, width = texture.shape[:2]
         texel = np.array([[width, 0, -0.5], [0, height, -0.5], [0, 0, 1.0]]) @ to_surface
-        size = (right - left, bottom - top)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        colours = cv2.warpPerspective(texture, texel, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        mask = np.zeros((size[1], size[0]), np.uint8)
-        fixed = np.round((on_image - (left, top)) * 256).astype(np.int32)
-        cv2.fillConvexPoly(mask, fixed, 255, lineType=cv2.LINE_8, shift=8)
+        colours = cv2.warpPerspective(texture, texel, area, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         if colours.shape[2] == 4:
-            mask[colours[..., 3] < 128] = 0
-            colours = colours[..., :3]
-        a, b, c = to_surface[2]
-        columns = (a * np.arange(size[0]) + c).astype(np.float32)
-        rows = (b * np.arange(size[1])).astype(np.float32)
-        closeness = rows[:, None] + columns[None, :]
-        if isinstance(labels, int):
-            self._put(window, mask, closeness, colours, labels)
-        else:
+            front[colours[..., 3] < 128] = 0
+            colours = np.ascontiguousarray(colours[..., :3])
+        labels = surface.label
+        if not isinstance(labels, int):
+            if size is not None:
+                labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
             flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-            warped = cv2.warpPerspective(labels, texel, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-            self._put(window, mask, closeness, colours, warped)
+            labels = cv2.warpPerspective(labels, texel, area, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        self._put(window, front, closeness, colours, labels)
 
     def draw_sprite(self, sprite: Sprite, light: SpriteLight) -> None:
         """Draw a cut-out that faces the camera; `light` as in `draw`."""
@@ -91,15 +92,19 @@ class Canvas:
         if window is None or (high - low).min() < 1:
             return
         left, top, right, bottom = window
+        seen = np.full((bottom - top, right - left), 255, np.uint8)
+        closeness = np.full(seen.shape, 1 / depth, np.float32)
+        front = self._in_front(window, seen, closeness)
+        if front is None:
+            return
         width, height = (int(n) for n in high - low)
         shrinks = width < sprite.texture.shape[1]
         how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         texture = cv2.resize(sprite.texture, (width, height), interpolation=how)
         texture = light(sprite, texture[top - low[1] : bottom - low[1], left - low[0] : right - low[0]])
         # Leaves smaller than pixels average to partial alpha: a threshold below 128 keeps far crowns from thinning.
-        mask = np.where(texture[..., 3] >= 100, 255, 0).astype(np.uint8)
-        closeness = np.full(mask.shape, 1 / depth, np.float32)
-        self._put(window, mask, closeness, texture[..., :3], sprite.label)
+        front[texture[..., 3] < 100] = 0
+        self._put(window, front, closeness, np.ascontiguousarray(texture[..., :3]), sprite.label)
 
     def _window(self, low: Vector, high: Vector) -> tuple[int, int, int, int] | None:
         width, height = self.camera.size
@@ -107,20 +112,31 @@ class Canvas:
         right, bottom = min(width, math.ceil(high[0]) + 1), min(height, math.ceil(high[1]) + 1)
         return (left, top, right, bottom) if left < right and top < bottom else None
 
+    def _in_front(
+        self, window: tuple[int, int, int, int], mask: Pixels, closeness: npt.NDArray[np.float32]
+    ) -> Pixels | None:
+        """255 for the pixels of a window that are nearer than what is drawn there; None where there is none."""
+        left, top, right, bottom = window
+        nearer = cv2.compare(closeness, self.closeness[top:bottom, left:right], cv2.CMP_GT)
+        front = cv2.bitwise_and(mask, nearer)
+        return front if cv2.hasNonZero(front) else None
+
     def _put(
         self,
         window: tuple[int, int, int, int],
-        mask: Pixels,
+        front: Pixels,
         closeness: npt.NDArray[np.float32],
         colours: Pixels,
         label: int | Pixels,
     ) -> None:
         left, top, right, bottom = window
         area = (slice(top, bottom), slice(left, right))
-        front = (mask > 0) & (closeness > self.closeness[area])
-        self.closeness[area][front] = closeness[front]
-        self.colours[area][front] = colours[front]
-        self.labels[area][front] = label if isinstance(label, int) else label[front]
+        cv2.copyTo(closeness, front, self.closeness[area])
+        cv2.copyTo(colours, front, self.colours[area])
+        if isinstance(label, int):
+            self.labels[area][front > 0] = label
+        else:
+            cv2.copyTo(label, front, self.labels[area])
 
     @staticmethod
     def _needed(

@@ -1,5 +1,6 @@
 """Light of sun, sky and lamps on materials; the sky; bloom, vignetting and grain of the camera."""
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -173,10 +174,19 @@ def sky(camera: Camera, day: Daylight, rng: np.random.Generator) -> Pixels:
 
 def hazed(colours: Pixels, closeness: npt.NDArray[np.float32], day: Daylight) -> Pixels:
     """Blend distant pixels with the colour of the horizon; `closeness` is 1/depth in 1/m."""
-    depth = 1 / np.maximum(closeness, 1e-3)
-    share = np.where(closeness > 0, 1 - np.exp(-day.haze * np.maximum(depth - 4, 0)), 0).astype(np.float32)[..., None]
-    mixed = colours * (1 - share) + np.array(day.horizon, np.float32) * share
-    return materials.bounded(mixed)
+    seen = np.empty_like(colours)
+    for band in materials.bands(len(colours)):
+        depth = 1 / np.maximum(closeness[band], 1e-3)
+        veil = 1 - np.exp(-day.haze * np.maximum(depth - 4, 0))
+        share = np.where(closeness[band] > 0, veil, 0).astype(np.float32)[..., None]
+        seen[band] = materials.bounded(colours[band] * (1 - share) + np.array(day.horizon, np.float32) * share)
+    return seen
+
+
+@functools.lru_cache(maxsize=4)
+def _vignette(height: int, width: int) -> npt.NDArray[np.float32]:
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
+    return np.asarray(1 - 0.13 * (x * x + y * y) ** 1.3, np.float32)
 
 
 def developed(colours: Pixels, day: Daylight, rng: np.random.Generator, *, bright: float = 1.0) -> Pixels:
@@ -187,7 +197,6 @@ def developed(colours: Pixels, day: Daylight, rng: np.random.Generator, *, brigh
         glare = np.clip(image - 205, 0, None)
         small = cv2.resize(glare, (max(2, width // 4), max(2, height // 4)), interpolation=cv2.INTER_AREA)
         image += cv2.resize(cv2.GaussianBlur(small, (0, 0), max(1.0, width / 120)), (width, height)) * 1.6
-    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
-    image *= (1 - 0.13 * (x * x + y * y) ** 1.3)[..., None]
+    image *= _vignette(height, width)[..., None]
     image += rng.standard_normal(image.shape, np.float32) * day.grain
     return materials.bounded(image)

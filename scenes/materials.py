@@ -1,5 +1,7 @@
 """Textures of materials: brick, plaster, asphalt, paving, grass, tiles, as RGB uint8."""
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +10,11 @@ from scenes.geometry import Pixels
 
 Colour = tuple[int, int, int]
 Field = npt.NDArray[np.float32]
+
+
+def bands(rows: int) -> Iterator[slice]:
+    """Slices of rows that are worked on one after the other, so that what comes between stays in the cache."""
+    return (slice(first, min(first + 64, rows)) for first in range(0, rows, 64))
 
 
 def noise(rng: np.random.Generator, size: tuple[int, int], cells: float, octaves: int = 4) -> Field:
@@ -22,9 +29,12 @@ def noise(rng: np.random.Generator, size: tuple[int, int], cells: float, octaves
         grown = cv2.resize(lumps, (int(shape[1] * step), int(shape[0] * step)), interpolation=how)
         if grown.shape[0] < height or grown.shape[1] < width:
             grown = cv2.resize(lumps, (width, height), interpolation=how)
-        total += grown[:height, :width] / 1.7**octave
-    deviation = float(total.std())
-    return np.asarray((total - total.mean()) / max(deviation, 1e-6), np.float32)
+        for band in bands(height):
+            total[band] += grown[band, :width] / 1.7**octave
+    deviation = max(float(total.std()), 1e-6)
+    total -= total.mean()
+    total /= deviation
+    return total
 
 
 def bounded(values: npt.NDArray[np.floating]) -> Pixels:
@@ -129,9 +139,12 @@ def grass(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pi
     """Lawn: lumps of lighter and darker green, blades, dry spots."""
     light = 1 + 0.08 * noise(rng, size, 150, 5) + 0.10 * noise(rng, size, 5, 2)
     light += 0.13 * rng.standard_normal(size, np.float32)
-    lawn = tinted(colour, light).astype(np.float32)
-    dry = np.clip(noise(rng, size, 200, 3) - 0.9, 0, 1)[..., None] * 0.5
-    return bounded(lawn * (1 - dry) + np.array([165, 150, 90]) * dry)
+    lawn = tinted(colour, light)
+    spots = noise(rng, size, 200, 3)
+    for band in bands(size[0]):
+        dry = np.clip(spots[band] - 0.9, 0, 1)[..., None] * 0.5
+        lawn[band] = bounded(lawn[band].astype(np.float32) * (1 - dry) + np.array([165, 150, 90]) * dry)
+    return lawn
 
 
 def roof_tiles(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pixels:

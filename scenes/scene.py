@@ -13,6 +13,7 @@ from scenes.canvas import Canvas
 from scenes.corridor import corridor
 from scenes.geometry import Camera, Pixels, Place, Sprite, Surface, Viewpoint, vector
 from scenes.light import Light, developed, hazed, sky
+from scenes.materials import bands
 from scenes.park import park
 from scenes.street import street
 from scenes.words import DYNAMIC, label
@@ -164,7 +165,8 @@ def draw(
     surfaces, sprites = _passing(place, things, moment)
     for surface in [*_ground(place, light), *place.surfaces, *surfaces]:
         canvas.draw(surface, light.on)
-    for sprite in [*place.sprites, *sprites]:
+    # The nearest first: what they hide is not worked out.
+    for sprite in sorted([*place.sprites, *sprites], key=lambda sprite: float(camera.seen(sprite.centre)[2])):
         canvas.draw_sprite(sprite, light.on_sprite)
     colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.closeness, light.day)
     pixels = cv2.resize(colours, size, interpolation=cv2.INTER_AREA)
@@ -211,7 +213,10 @@ def _ground(place: Place, light: Light) -> list[Surface]:
         small = (texture.shape[0] // 3, texture.shape[1] // 3)
         factor = light.shadow_map(place, small)
         grown = cv2.resize(factor, (texture.shape[1], texture.shape[0]), interpolation=cv2.INTER_LINEAR)
-        texture = (texture * grown[..., None]).astype(np.uint8)
+        lit = np.empty_like(texture)
+        for band in bands(len(texture)):
+            lit[band] = (texture[band] * grown[band, :, None]).astype(np.uint8)
+        texture = lit
     rows = texture.shape[0]
     strips, edge, step = [], y0, 3.0
     while edge < y1:

@@ -22,7 +22,7 @@ def photo(light: Lighting = "noon") -> np.ndarray:
 
 
 def smaller(pixels: np.ndarray) -> np.ndarray:
-    return cv2.resize(pixels, (64, 48), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(pixels, (64, 48), interpolation=cv2.INTER_AREA))
 
 
 @pytest.mark.parametrize("light", ["noon", "dusk", "night"])
