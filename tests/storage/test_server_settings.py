@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,17 @@ def test_how_the_server_would_write_values_changes_none(server: Server, data: Pa
         view = store.views.get(enroll(store, "広場").view.id)
         describe_all(store)
         assert view.enrolled_at == NOW
+
+
+@pytest.mark.parametrize("zone", ["America/New_York", "Asia/Tokyo"])
+def test_the_first_and_the_last_times_are_read_in_every_zone(server: Server, data: Path, zone: str) -> None:
+    """What programs write for no time: 0001-01-01T00:00:00Z of Go and .NET, and .NET's greatest."""
+    server.set("timezone", f"'{zone}'")
+    with opened(server, data) as store:
+        for name, moment in {"gate": datetime.min, "pond": datetime.max}.items():
+            captured_at = moment.replace(tzinfo=UTC)
+            view = enroll(store, name, attributes=ViewAttributes(captured_at=captured_at)).view
+            assert store.views.get(view.id).attributes.captured_at == captured_at
 
 
 def test_a_reader_does_not_wait_without_end_for_a_locked_table(

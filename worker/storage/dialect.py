@@ -134,6 +134,7 @@ def _session() -> str:
     return (
         f"SELECT set_config('lock_timeout', '{round(1000 * READS_WAIT_S)}', false), "
         "set_config('datestyle', 'ISO', false), "
+        "set_config('timezone', 'UTC', false), "  # elsewhere the first or last hours are no datetime
         "set_config('synchronous_commit', replace(current_setting('synchronous_commit'), 'off', 'on'), false)"
     )
 
