@@ -11,7 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import DiskFull, SetupError, StorageFailed
-from schemas.records import ViewAttributes
+from schemas.records import Position, ViewAttributes
 from tests.storage.databases import postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, finish
 from worker.storage import dialect
@@ -73,6 +73,18 @@ def test_how_the_server_would_write_values_changes_none(server: Server, data: Pa
         view = store.views.get(enroll(store, "広場").view.id)
         describe_all(store)
         assert view.enrolled_at == NOW
+
+
+def test_numbers_that_the_server_would_round_are_no_damage(server: Server, data: Path) -> None:
+    """As PostgreSQL 11 and older wrote them: views with a position no longer fitted their checksum, and were failed."""
+    server.set("extra_float_digits", "0")
+    with opened(server, data) as store:
+        exact = Position(x=0.1 + 0.2, y=1 / 3, heading=100 / 3)
+        view = enroll(store, "gate", attributes=ViewAttributes(position=exact)).view
+        describe_all(store)
+        found = store.views.get(view.id)
+        assert found.attributes.position == exact
+        assert found.state == "ready"
 
 
 @pytest.mark.parametrize("zone", ["America/New_York", "Asia/Tokyo"])

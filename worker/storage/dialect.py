@@ -130,11 +130,12 @@ def _postgresql(url: sa.URL) -> sa.Engine:
 
 def _session() -> str:
     """What a connection begins with, whatever is set for the server, the database or the user: what was acknowledged is
-    durable, times can be read, and no reader waits without end."""
+    durable, times and numbers are read as they were written, and no reader waits without end."""
     return (
         f"SELECT set_config('lock_timeout', '{round(1000 * READS_WAIT_S)}', false), "
         "set_config('datestyle', 'ISO', false), "
         "set_config('timezone', 'UTC', false), "  # elsewhere the first or last hours are no datetime
+        "set_config('extra_float_digits', '3', false), "  # or numbers come rounded, and fit no checksum
         "set_config('synchronous_commit', replace(current_setting('synchronous_commit'), 'off', 'on'), false)"
     )
 
