@@ -1,9 +1,9 @@
 """What is promised of images holds wherever they lie: in a folder, or in an S3-compatible store."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import NoReturn
 
 import pytest
@@ -137,6 +137,43 @@ def test_a_snapshot_carries_images_from_and_to_the_place(place: Place) -> None:
 
     views, _ = place.store.views.list("again", Filters())
     assert {place.store.views.image(view.id) for view in views} == {image("gate"), image("pond")}
+
+
+def test_a_map_is_restored_whole_while_images_of_its_last_deletion_are_still_removed(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever removes them saw that no view needs them; those of the restored map came after that."""
+    enroll(place.store, "gate")
+    describe_all(place.store)
+    job = "0" * 8 + "-0000-7000-8000-" + "0" * 12
+    place.store.snapshots.make("campus", job, NOW, lambda *_: None)
+    copied = place.data / "copied"
+    with place.store.snapshots.open(job) as file:
+        copied.write_bytes(file.read())
+    images = place.store._images
+    owned, add = images._owned, images.add  # type: ignore[attr-defined]
+    looked, added = Event(), Event()
+
+    def slow(digests: list[str]) -> set[str]:
+        needed: set[str] = owned(digests)
+        looked.set()
+        added.wait(1)
+        return needed
+
+    def adding(bodies: Mapping[str, bytes]) -> None:
+        add(bodies)
+        added.set()
+
+    monkeypatch.setattr(images, "_owned", slow)
+    monkeypatch.setattr(images, "add", adding)
+    deletion = Thread(target=place.store.removals.delete_map, args=["campus"])
+    deletion.start()
+    assert looked.wait(60)
+    place.store.restoring.restore(copied, "again", NOW)
+    deletion.join()
+
+    [view] = place.store.views.list("again", Filters())[0]
+    assert place.store.views.image(view.id) == image("gate")
 
 
 def test_doctor_names_each_fault_and_repair_removes_orphans(place: Place) -> None:

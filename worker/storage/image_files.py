@@ -118,7 +118,7 @@ class Images:
                 raise
 
     def add(self, images: Mapping[str, bytes]) -> None:
-        """Write images, by their digests, durably whose rows are committed: nobody removes them meanwhile.
+        """Write images, by their digests, durably whose rows are committed, after `await_removals`.
 
         Raises
         ------
@@ -142,6 +142,12 @@ class Images:
             os.sync()
             list(pool.map(sync_folder, {at for _, path, _ in written for at in (path.parent, path.parent.parent)}))
             sync_folder(self._folder)
+
+    def await_removals(self) -> None:
+        """Wait until removals have ended that may have begun before rows which are committed."""
+        for folder in self._folder.glob("[0-9a-f][0-9a-f]"):
+            with self._locked(folder.name):
+                pass
 
     def read(self, digest: str) -> bytes:
         """The bytes of an image.

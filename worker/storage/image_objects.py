@@ -132,9 +132,24 @@ class ImageObjects:
                 raise
 
     def add(self, images: Mapping[str, bytes]) -> None:
-        """Write images, by their digests, durably whose rows are committed; raises DiskFull, StorageFailed."""
+        """Write images, by their digests, durably whose rows are committed, after `await_removals`.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+        """
         with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
             list(pool.map(self._write, images.keys(), images.values()))
+
+    def await_removals(self) -> None:
+        """Wait until removals have ended that may have begun before rows which are committed; raises StorageFailed."""
+
+        def wait(first: int) -> None:
+            with self._locked(f"{first:02x}"):
+                pass
+
+        with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
+            list(pool.map(wait, range(256)))
 
     def read(self, digest: str) -> bytes:
         """The bytes of an image.

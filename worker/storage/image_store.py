@@ -40,6 +40,10 @@ class ImageStore(Protocol):
         """Write images, by their digests, durably whose rows are committed; raises DiskFull, StorageFailed."""
         ...
 
+    def await_removals(self) -> None:
+        """Wait until removals have ended that may have begun before rows which are committed; raises StorageFailed."""
+        ...
+
     def read(self, digest: str) -> bytes:
         """The bytes of an image, verified; raises Damaged, StorageFailed."""
         ...

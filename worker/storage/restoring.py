@@ -212,7 +212,8 @@ class _Restoration:
             with self._database.writing() as connection:
                 self._tell(connection)
                 self._store_views(connection, views)
-        # The rows are there, so that nobody removes an image that another map gives up meanwhile.
+        # The rows are there: from here on nobody begins to remove an image that another map gives up.
+        self._images.await_removals()
         batch: dict[str, bytes] = {}
         for part in reader.parts(IMAGE):
             batch[part.name.removeprefix(IMAGE)] = part.body
