@@ -44,7 +44,6 @@ SQLITE_FULL = 13
 SQLITE_DAMAGED = (11, 26)  # malformed, not a database
 SQLITE_UNREADABLE = (266, 522, 8202, 8458)  # I/O errors in reading: failed, short, checksum, file system
 
-
 _IN_A_MOMENT = {
     "57P01": "it is being stopped",
     "57P02": "it crashed",
