@@ -11,7 +11,8 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import DiskFull, SetupError, StorageFailed
-from schemas.records import Position, ViewAttributes
+from schemas.records import Filters, Position, ViewAttributes
+from schemas.where import condition
 from tests.storage.databases import postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, finish
 from worker.storage import dialect
@@ -208,10 +209,23 @@ def encoded_as(server: Server) -> Iterator[Callable[[str], str]]:
         server.run(f"DROP DATABASE {name}")
 
 
-def test_a_database_without_an_encoding_holds_every_character(encoded_as: Callable[[str], str], data: Path) -> None:
-    with closing(open_store(encoded_as("SQL_ASCII"), data)) as store:
-        view = enroll(store, "gate", attributes=ViewAttributes(place="広場")).view
-        assert store.views.get(view.id).attributes.place == "広場"
+def test_a_database_without_an_encoding_is_refused_and_one_that_was_made_holds_every_character(
+    encoded_as: Callable[[str], str], data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It finds places by how they begin; metadata with other letters than English ones it cannot look into."""
+    url = encoded_as("SQL_ASCII")
+    with pytest.raises(SetupError, match=r"SQL_ASCII.*ENCODING 'UTF8'"):
+        open_store(url, data)
+    with monkeypatch.context() as patch:  # as an earlier version did
+        patch.setattr(dialect, "encoding_of", lambda connection: None)
+        open_store(url, data).close()
+    with closing(open_store(url, data)) as store:
+        view = enroll(store, "gate", attributes=ViewAttributes(place="広場/1", metadata={"名": "門"})).view
+        assert store.views.get(view.id).attributes.place == "広場/1"
+        begins = Filters(where=condition({"place": {"$prefix": "広"}}))
+        assert [one.id for one in store.views.list("campus", begins)[0]] == [view.id]
+        with pytest.raises(SetupError, match="ENCODING 'UTF8'"):
+            store.views.list("campus", Filters(where=condition({"metadata.floor": 1})))
 
 
 def test_a_database_that_could_not_is_refused_and_one_that_was_made_says_what_it_lacks(

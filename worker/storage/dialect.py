@@ -369,11 +369,11 @@ def lacks_characters(error: sa.exc.DBAPIError) -> bool:
 
 
 def encoding_of(connection: sa.Connection) -> str | None:
-    """The encoding of a PostgreSQL database that cannot hold every character; None for others."""
+    """The encoding of a PostgreSQL database that cannot hold, or filter by, every character; None for others."""
     if connection.dialect.name != "postgresql":
         return None
     encoding = str(connection.scalar(sa.text("SHOW server_encoding")))
-    return None if encoding in ("UTF8", "SQL_ASCII") else encoding  # the latter takes bytes as they come
+    return None if encoding == "UTF8" else encoding  # SQL_ASCII takes bytes as they come, and knows no characters
 
 
 def is_read_only(error: sa.exc.DBAPIError) -> bool:

@@ -37,6 +37,8 @@ def fulfilling(one: Predicate, dialect: str) -> Clause:
     if isinstance(one, Compared):
         return _known(_COMPARE[one.operator](field.of(one.bound), field.bound(one.bound)))
     if isinstance(one, Begins):
+        if dialect == "postgresql":  # where a database has no encoding, what it counts are bytes
+            return _known(sa.func.starts_with(field.of(one.prefix), one.prefix))
         return _known(sa.func.substr(field.of(one.prefix), 1, len(one.prefix)) == one.prefix)
     return field.exists()
 
