@@ -143,7 +143,8 @@ class Enrolment(Part):
         """
         if self._database.space is not None:
             self._database.space.admit(len(image), image=True)
-        with self._images.kept(facts.sha256, image), self._database.writing() as connection:
+        with self._images.kept(facts.sha256, image) as hold, self._database.writing() as connection:
+            hold.until_commit(connection)
             claimed = None if job is None else held(connection, job)
             try:
                 row = find_map(connection, name)

@@ -11,6 +11,7 @@ from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
 from worker.storage.owner_file import OWNER
+from worker.storage.peers import ImageHold
 from worker.storage.signs import ALIVE, Sign, read
 from worker.storage.snapshot_places import SNAPSHOTS
 from worker.storage.uploads import IMPORTS
@@ -48,7 +49,7 @@ def object_findings(
         As in `image_findings`.
     """
     try:
-        objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext())
+        objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext(ImageHold()))
     except SetupError as error:
         yield Finding(address, "cannot be examined", str(error))
         return
@@ -72,7 +73,7 @@ def object_findings(
 def last_sign(address: str) -> Sign | None:
     """The last sign of life beside images; None where there is none, or it cannot be read now."""
     try:
-        objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext())
+        objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext(ImageHold()))
     except SetupError:
         return None
     try:

@@ -23,6 +23,7 @@ from worker.storage import owner_file, whole_files
 from worker.storage.disk_errors import translated
 from worker.storage.locks import held
 from worker.storage.owner_file import OWNER
+from worker.storage.peers import ImageHold
 
 UNFINISHED = ".writing-"
 
@@ -92,7 +93,7 @@ class Images:
         folder.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
-    def kept(self, digest: str, image: bytes) -> Iterator[None]:
+    def kept(self, digest: str, image: bytes) -> Iterator[ImageHold]:
         """Write an image durably, then run a block that commits a row with its digest.
 
         When the block raises, the file is removed unless a view needs it.
@@ -108,7 +109,7 @@ class Images:
         with self._locked(digest[:2]):
             written = self._write(digest, image)
             try:
-                yield
+                yield ImageHold()
             except BaseException:
                 if written:
                     self._left.add(digest)

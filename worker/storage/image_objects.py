@@ -25,7 +25,7 @@ from worker.storage.image_files import DIGEST, LOST, Discarded, Owned, damaged_o
 from worker.storage.object_errors import MISSING, code_of, told
 from worker.storage.object_files import ObjectFiles
 from worker.storage.owner_file import OWNER
-from worker.storage.peers import ImageLock
+from worker.storage.peers import ImageHold, ImageLock
 
 log = logging.getLogger("revisit")
 
@@ -107,8 +107,8 @@ class ImageObjects:
         self._sweeper: threading.Thread | None = None
 
     @contextmanager
-    def kept(self, digest: str, image: bytes) -> Iterator[None]:
-        """Write an image durably, then run a block that commits a row with its digest.
+    def kept(self, digest: str, image: bytes) -> Iterator[ImageHold]:
+        """Write an image durably, then run a block that commits a row with its digest, after `until_commit`.
 
         When the block raises, the object is removed unless a view needs it.
 
@@ -120,14 +120,14 @@ class ImageObjects:
         """
         if hashlib.sha256(image).hexdigest() != digest:
             raise ValueError(f"{digest} is not the SHA-256 of the image")
-        with self._locked(digest[:2]):
+        with self._locked(digest[:2]) as hold:
             self._write(digest, image)
             try:
-                yield
+                yield hold
             except BaseException:
                 self._left.add(digest)
                 with suppress(RevisitError):  # then it goes later
-                    self._remove([digest])
+                    self._remove([digest], hold)
                     self._left.discard(digest)
                 raise
 
@@ -204,8 +204,8 @@ class ImageObjects:
         for page in self._pages():
             named = sorted(name for name in page if DIGEST.fullmatch(name))
             for first, group in groupby(named, key=lambda digest: digest[:2]):
-                with self._locked(first):
-                    removed += self._remove(list(group)).removed
+                with self._locked(first) as hold:
+                    removed += self._remove(list(group), hold).removed
             if self._closing.is_set():
                 break
         return removed
@@ -287,8 +287,8 @@ class ImageObjects:
 
     def _discard(self, digests: list[str]) -> Discarded:
         try:
-            with self._locked(digests[0][:2]):
-                done = self._remove(digests)
+            with self._locked(digests[0][:2]) as hold:
+                done = self._remove(digests, hold)
         except RevisitError as error:
             log.warning("%d images of deleted views are not removed yet: %s", len(digests), error.detail)
             self._left.update(digests)
@@ -296,12 +296,14 @@ class ImageObjects:
         self._left.difference_update(digests)
         return done
 
-    def _remove(self, digests: list[str]) -> Discarded:
-        """Remove those that no view needs, with their lock held; raises StorageFailed."""
+    def _remove(self, digests: list[str], hold: ImageHold) -> Discarded:
+        """Remove those that no view needs, as long as their lock is held; raises StorageFailed."""
+        hold.await_commits()
         needed = self._owned(digests)
         needless = sorted(set(digests) - needed)
         with told(self.address):
             for digest in needless:
+                hold.check()
                 self._client.delete_object(Bucket=self._bucket, Key=self._key(digest))
         return Discarded(len(needless), frozenset(needed))
 

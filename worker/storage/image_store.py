@@ -11,7 +11,7 @@ from schemas.errors import Damaged
 from worker.storage import checksums
 from worker.storage.database import Database
 from worker.storage.image_files import Discarded, Images
-from worker.storage.peers import image_lock
+from worker.storage.peers import ImageHold, image_lock
 from worker.storage.rows import batches
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -32,8 +32,8 @@ class ImageStore(Protocol):
         """The same for small files, whose calls end within some 3 s."""
         ...
 
-    def kept(self, digest: str, image: bytes) -> AbstractContextManager[None]:
-        """Write an image durably, then run a block that commits a row with its digest."""
+    def kept(self, digest: str, image: bytes) -> AbstractContextManager[ImageHold]:
+        """Write an image durably, then run a block that commits a row with its digest, after `until_commit`."""
         ...
 
     def add(self, images: Mapping[str, bytes]) -> None:

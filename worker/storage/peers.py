@@ -5,15 +5,16 @@ locks on files of the data folder.
 """
 
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from worker.storage import dialect
+from worker.storage.again import RolledBack
 from worker.storage.database import Database
-from worker.storage.disk_errors import translated
+from worker.storage.disk_errors import AWAY, translated
 from worker.storage.locks import held
 
 log = logging.getLogger("revisit")
@@ -27,7 +28,52 @@ SERVING = 256
 IMAGE_SILENT_S = 120
 """Seconds between statements of the transaction that holds the lock of images, while an object store is slow."""
 
-ImageLock = Callable[[str], AbstractContextManager[None]]
+ADDING = 512
+"""Second key, plus that byte, of the locks that transactions share which add rows of such images."""
+
+
+class ImageHold:
+    """A lock of images that is held: one that cannot be lost, as that on a file."""
+
+    def until_commit(self, connection: sa.Connection) -> None:
+        """Keep removers out until a transaction ends, which adds rows, also where the lock is lost; raises RolledBack
+        where it was lost before, and somebody may have removed what was written."""
+
+    def await_commits(self) -> None:
+        """Wait for transactions that add rows: their lock may have been lost; raises StorageFailed."""
+
+    def check(self) -> None:
+        """Raise RolledBack where the lock was lost."""
+
+
+class _ServerHold(ImageHold):
+    """One of PostgreSQL, which goes with its connection."""
+
+    def __init__(self, holding: sa.Connection, key: int) -> None:
+        self._holding, self._key = holding, {"key": ADDING + key}
+
+    def until_commit(self, connection: sa.Connection) -> None:
+        connection.execute(_SHARE, self._key)
+        self.check()
+
+    def await_commits(self) -> None:
+        self._ask(_TAKE, self._key)
+
+    def check(self) -> None:
+        self._ask(_ANYTHING, {})
+
+    def _ask(self, statement: sa.Executable, parameters: Mapping[str, int]) -> None:
+        if self._holding.invalidated:
+            raise RolledBack(AWAY.format("the connection with the lock of an image broke"))
+        with translated("database", sent=False):
+            self._holding.execute(statement, parameters)
+
+
+_SHARE = sa.text(f"SELECT pg_advisory_xact_lock_shared({SCHEMA}, :key)")
+_TAKE = sa.text(f"SELECT pg_advisory_xact_lock({SCHEMA}, :key)")
+_ANYTHING = sa.text("SELECT 1")
+
+ImageLock = Callable[[str], AbstractContextManager[ImageHold]]
 """From the first two digits of digests to a lock that writers and removers of such images hold in turn."""
 
 
@@ -35,17 +81,21 @@ def image_lock(database: Database, data: Path) -> ImageLock:
     """Locks of images that lie outside the data folder."""
 
     @contextmanager
-    def by_file(first: str) -> Iterator[None]:
+    def by_file(first: str) -> Iterator[ImageHold]:
         with translated("images"), held(data / "image-locks" / first):
-            yield
+            yield ImageHold()
 
     @contextmanager
-    def by_server(first: str) -> Iterator[None]:
-        # Its commit keeps nothing; whether the block committed something is counted by the database.
-        with translated("database", sent=False), database.open() as connection, connection.begin():
+    def by_server(first: str) -> Iterator[ImageHold]:
+        with translated("database", sent=False), database.open() as connection:
+            transaction = connection.begin()
             lock = f"pg_advisory_xact_lock({SCHEMA}, {int(first, 16)})"
             connection.execute(dialect.bounded(IMAGE_SILENT_S, lock))
-            yield
+            try:
+                yield _ServerHold(connection, int(first, 16))
+            finally:
+                with suppress(sa.exc.DBAPIError):  # it is lost: what the block did under it is done all the same
+                    transaction.rollback()
 
     return by_file if dialect.is_file(database.engine) else by_server
 
