@@ -45,6 +45,9 @@ from worker.storage.tables import (
 MOST_REVISION = 2**62
 """No database comes this far; what is beyond is damage, as is text, which SQLite takes for more than any number."""
 
+ROWS = 500
+"""Rows of PostgreSQL in memory at a time: a kept query has an image."""
+
 DISPENSABLE = {  # what it means that such a row is removed
     COMPARISONS: "it is made again in the background",
     JOBS: "what it had to do is queued again where it is needed",
@@ -87,7 +90,7 @@ def row_findings(engine: sa.Engine, owners: dict[str, str]) -> Iterator[Finding]
 def scan(connection: sa.Connection, table: sa.TableClause) -> Iterator[Any]:
     """All rows of a table that can be read, from both ends, and a Finding when that is not all."""
     if connection.dialect.name != "sqlite":
-        yield from connection.execute(sa.select(table))
+        yield from connection.execute(sa.select(table).execution_options(yield_per=ROWS))
         return
     last = None
     for order in ("rowid", "rowid DESC"):
