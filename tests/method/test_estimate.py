@@ -42,6 +42,18 @@ def test_heights_are_averaged_when_all_are_known() -> None:
     assert fix.position.z == pytest.approx(3)
 
 
+def test_a_view_without_a_height_does_not_take_it_from_the_others() -> None:
+    floor = locate([Position(x=0, y=0, z=190.0), Position(x=1, y=0), Position(x=2, y=0, z=194.0)], [0.6, 0.3, 0.2])
+    assert floor is not None
+    assert floor.position.z == pytest.approx(191)
+    phone = locate([Position(lat=50, lon=14, alt=190.0), Position(lat=50, lon=14)], [0.999, 0.0])
+    assert phone is not None
+    assert phone.position.alt == pytest.approx(190)
+    unknown = locate([Position(x=0, y=0), Position(x=1, y=0, z=190.0)], [0.9, 0.1])  # the second says little
+    assert unknown is not None
+    assert unknown.position.z is None
+
+
 @given(st.floats(-89, 89), st.floats(-180, 180), st.floats(-10, 10), st.floats(-10, 10))
 def test_a_single_match_is_its_own_estimate(lat: float, lon: float, x: float, y: float) -> None:
     fix = locate([Position(lat=lat, lon=lon)], [0.0])

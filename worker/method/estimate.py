@@ -15,6 +15,8 @@ EARTH_M = 6_371_008.8
 AGREE_M = 25.0
 """Matches further than this from the best one do not count for the estimate, metres."""
 
+MOST_WEIGHT = 0.5
+"""Share of the weight that views of a known height need for the estimate to have one."""
 
 SAME_POINT_M = 1e-6
 """Positions at most this far apart are one point: what is left of rounding, metres."""
@@ -27,7 +29,7 @@ class Fix:
     Parameters
     ----------
     position : Position
-        Without heading.
+        Without heading. Its height is that of the views that have one, where these are most of the weight.
     radius_m : float or None
         Weighted root mean square horizontal distance of the agreeing views from `position`; at least the distance from
         the best one to the nearest other position, by as many points as share the weight: one view says no more of
@@ -71,7 +73,9 @@ def locate(positions: Sequence[Position], weights: Sequence[float], around: Sequ
     mean = share @ offsets
     spread = float(np.sqrt(share @ ((offsets[:, :2] - mean[:2]) ** 2).sum(axis=1)))
     heights = [positions[i].alt if geographic else positions[i].z for i in chosen]
-    height = None if any(h is None for h in heights) else float(mean[2])
+    known = np.array([height is not None for height in heights])
+    told = float(share[known].sum())
+    height = float(share[known] @ offsets[known, 2]) / told if told >= MOST_WEIGHT else None
     gaps = [gap for other in around if SAME_POINT_M < (gap := distance(positions[0], other)) < inf]
     radius = max(spread, min(gaps) / _sharing(offsets[:, :2], share)) if gaps else spread
     return Fix(_place(mean, height, positions[0]), radius if radius > SAME_POINT_M else None, tuple(chosen))
