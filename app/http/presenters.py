@@ -1,6 +1,6 @@
 """Turns the results of the use-cases into the models of `schemas.wire`."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from itertools import accumulate
@@ -233,8 +233,8 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
         ),
         maps=[_map_answer(one, of, places) for one, of in several] if len(several) > 1 else None,
         drive=None if result.driven is None else _drive(result.driven, results),
-        matches=_matches(result),
-        estimate=estimate(results, decision, result.top),
+        matches=(matches := _matches(result)),
+        estimate=estimate(results, decision, {match.view.id for match in matches}),
         timing_ms=dict(result.timing_ms),
     )
 
@@ -380,15 +380,17 @@ def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
     )
 
 
-def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estimate | None:
-    """The estimated position of the query; None without a match or when the best match has no position.
+def estimate(results: RankedResults, decision: Decision, shown: Collection[str]) -> wire.Estimate | None:
+    """The estimated position of the query, from those of its matches, whose ids are `shown`; None without a match or
+    when the best match has no position.
 
     Between two storeys nobody is, and positions of the other maps that were searched lie in frames of their own.
     """
     if decision.status == "no_match":
         return None
     places, best = results.ranking.places, results.views[0].seq
-    chosen = [i for i, one in enumerate(results.views[:top]) if places.on_one_storey(best, one.seq)]
+    matches = [i for i, one in enumerate(results.views) if one.view.id in shown]
+    chosen = [i for i in matches if places.on_one_storey(best, results.views[i].seq)]
     found, weights = [results.views[i] for i in chosen], [decision.confidences[i] for i in chosen]
     fix = locate([f.view.attributes.position for f in found], weights, places.positions(best))
     if fix is None:

@@ -139,6 +139,19 @@ def test_an_estimated_position_is_in_the_frame_of_the_first_places_map(client: h
     assert (estimate["views"], estimate["radius_m"]) == ([first["id"]], pytest.approx(100.0))
 
 
+def test_an_estimate_is_of_matches_where_maps_are_ranked_apart_too(client: httpx.Client) -> None:
+    assert client.put("/maps/yard", json={"ranking": {"precision": 0.9}}).status_code == 201
+    for number, (_, spot, image) in enumerate(HOUSE.enrolments()):
+        for name in ("hall", "yard"):  # all views of one lie within reach of each other
+            known = {"map": name, "place": f"spot {number}", "x": str(7 * spot), "y": "0"}
+            assert client.post("/enroll", params=known, content=jpeg(image), headers=JPEG).status_code == 201
+    settled(client, "hall", "yard")
+    for _, _, image in HOUSE.queries(1):
+        answer = query(client, jpeg(image), maps="hall,yard", top=3)
+        assert {match["view"]["map"] for match in answer["matches"]} == {"hall", "yard"}
+        assert set(answer["estimate"]["views"]) < {match["view"]["id"] for match in answer["matches"]}
+
+
 def test_views_of_any_of_the_maps_can_be_left_out(client: httpx.Client) -> None:
     taken = jpeg(next(iter(HOUSE.enrolments()))[2])
     first = query(client, taken, maps=BOTH)["matches"][0]["view"]
