@@ -391,7 +391,7 @@ def estimate(results: RankedResults, decision: Decision, shown: Collection[str])
     places, best = results.ranking.places, results.views[0].seq
     matches = [i for i, one in enumerate(results.views) if one.view.id in shown]
     chosen = [i for i in matches if places.on_one_storey(best, results.views[i].seq)]
-    found, weights = [results.views[i] for i in chosen], [decision.confidences[i] for i in chosen]
+    found, weights = [results.views[i] for i in chosen], [(decision.weights or decision.confidences)[i] for i in chosen]
     fix = locate([f.view.attributes.position for f in found], weights, places.positions(best))
     if fix is None:
         return None

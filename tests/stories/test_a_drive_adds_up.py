@@ -66,6 +66,23 @@ def test_images_of_a_drive_are_counted_and_make_it_surer(client: CheckedClient) 
     assert together[0]["matches"] == alone[0]["matches"]
 
 
+def test_a_position_is_that_of_the_likeliest_views_not_the_mean_of_their_neighbours(
+    client: CheckedClient, runtime: Runtime
+) -> None:
+    street = scene("mill lane")
+    for ahead in STREET:  # 6 m from one to the next: further apart than a place is wide, and neighbours
+        known = {"map": "surveyed", "place": f"{ahead:g}", "x": 2 * ahead, "y": 0}
+        sent = photo(street.seen_from(ahead=ahead))
+        assert client.post("/enroll", params=known, content=sent, headers=JPEG).status_code == 201
+    runtime.comparer.all()
+    answers = [put(client, ahead, drive="surveyor", map="surveyed", precision=0.5) for ahead in STREET]
+    decided = [answer for answer in answers if answer["reason"]["detail"].startswith("the images of this drive")]
+    assert len(decided) >= 3
+    for answer in decided:
+        first = answer["matches"][0]["view"]["position"]["x"]
+        assert answer["estimate"]["position"]["x"] == pytest.approx(first, abs=3)
+
+
 def test_what_the_drive_is_sure_of_comes_first_everywhere_in_the_answer(client: CheckedClient) -> None:
     answers = [put(client, ahead, drive="robot-2", precision=0.5) for ahead in STREET]
     decided = [answer for answer in answers if answer["reason"]["detail"].startswith("the images of this drive")]

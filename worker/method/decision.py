@@ -119,8 +119,9 @@ class Decision:
     reason : Reason
     places : tuple of PlaceProbability
         Best first.
-    confidences : tuple of float
-        Of the grouped views, never rising with rank: the probability of each one's place.
+    confidences, weights : tuple of float
+        Of the grouped views: the probability of each one's place, never rising with rank; and what its position counts
+        for an estimate, where that is not the same.
     precision, threshold : float
         Share of matched answers that must be right, and the probability from which an answer is matched.
     levels : MapLevels
@@ -138,6 +139,7 @@ class Decision:
     places: tuple[PlaceProbability, ...] = ()
     confidences: tuple[float, ...] = ()
     features: Mapping[str, float] = field(default_factory=dict)
+    weights: tuple[float, ...] = ()
 
     @property
     def nowhere(self) -> float:

@@ -162,7 +162,7 @@ class Drives:
         if drive.images == 1 or not (together_sure or leaning):
             return results, decision, driven
         places = _by_place(results.ranking, count, len(results.views), probability, 0.0)
-        return _led(results, decision, driven, _shown(places, len(results.views)), together_sure)
+        return _led(results, decision, driven, _shown(places, len(results.views)), probability, together_sure)
 
     def _together(
         self, results: RankedResults, probability: Mapping[int, float]
@@ -207,9 +207,17 @@ def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:
 
 
 def _led(
-    results: RankedResults, decision: Decision, driven: Driven, places: tuple[PlaceProbability, ...], sure: bool
+    results: RankedResults,
+    decision: Decision,
+    driven: Driven,
+    places: tuple[PlaceProbability, ...],
+    probability: Mapping[int, float],
+    sure: bool,
 ) -> tuple[RankedResults, Decision, Driven]:
-    """The answer with its places in the order of their probability by the drive."""
+    """The answer with its places in the order of their probability by the drive.
+
+    A place has its neighbours here, so that each view's position counts by the probability of the view itself.
+    """
     order = [view for place in places for view in place.views]
     rank = {view: i for i, view in enumerate(order)}
     places = tuple(PlaceProbability(p.probability, tuple(rank[view] for view in p.views)) for p in places)
@@ -221,6 +229,7 @@ def _led(
         reason=TOGETHER if sure else LEANING,
         places=places,
         confidences=confidences(places),
+        weights=tuple(probability.get(view.seq, 0.0) for view in views),
     )
     rival = views[places[1].views[0]] if len(places) > 1 else None
     driven = replace(driven, posterior=places[: len(driven.posterior)])
