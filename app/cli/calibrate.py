@@ -163,7 +163,7 @@ def _observed(revisit: "Revisit", map_name: str, row: Row, answer: "QueryAnswer"
 def _metres(row: Row, position: Any) -> float:
     """From the labelled position to another, over the ground; infinite in the other frame."""
     from schemas.records import Position
-    from worker.method.estimate import distance
+    from worker.method.positions import distance
 
     assert row.position is not None
     first, second = row.position

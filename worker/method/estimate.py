@@ -2,15 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, hypot, inf, radians
+from math import inf
 
 import numpy as np
 import numpy.typing as npt
 
 from schemas.records import Position
-
-EARTH_M = 6_371_008.8
-"""Mean radius of the earth (IUGG), metres."""
+from worker.method.positions import EARTH_M, distance, is_known, metres
 
 AGREE_M = 25.0
 """Matches further than this from the best one do not count for the estimate, metres."""
@@ -85,40 +83,6 @@ def _sharing(points: npt.NDArray[np.float64], share: npt.NDArray[np.float64]) ->
     """By how many points the weight is shared, 1 .. their number: the inverse of its sum of squares (Kish, 1965)."""
     together = np.linalg.norm(points[:, None] - points, axis=2) <= SAME_POINT_M
     return float(1 / (share @ together @ share))
-
-
-def distance(one: Position, other: Position) -> float:
-    """Metres between two positions, with the height where both have one; infinite when they cannot be compared."""
-    if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
-        return inf
-    east, north, _ = metres(other, one)
-    return hypot(east, north, climb(one, other))
-
-
-def climb(one: Position, other: Position) -> float:
-    """Metres that one position lies above or below another; 0 where the heights cannot be compared."""
-    if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
-        return 0.0
-    below, above = (one.z, other.z) if one.lat is None else (one.alt, other.alt)
-    return 0.0 if below is None or above is None else abs(above - below)
-
-
-def is_known(position: Position) -> bool:
-    """Whether it has coordinates."""
-    return position.x is not None or position.lat is not None
-
-
-def metres(position: Position, origin: Position) -> tuple[float, float, float]:
-    """(east or x, north or y, up) from the origin's horizontal position; up is the height itself."""
-    if position.lat is not None and position.lon is not None and origin.lat is not None and origin.lon is not None:
-        east = (position.lon - origin.lon + 180) % 360 - 180
-        scale = cos(radians(origin.lat))
-        return (
-            radians(east) * EARTH_M * scale,
-            radians(position.lat - origin.lat) * EARTH_M,
-            position.alt or 0.0,
-        )
-    return (position.x or 0.0) - (origin.x or 0.0), (position.y or 0.0) - (origin.y or 0.0), position.z or 0.0
 
 
 def _place(offset: npt.NDArray[np.float64], height: float | None, origin: Position) -> Position:

@@ -5,7 +5,7 @@ from math import inf
 
 from schemas.comparisons import KnownView
 from schemas.records import Position
-from worker.method.estimate import climb, distance
+from worker.method.positions import climb, distance
 
 NEIGHBOURHOOD = 4.0
 """Views further apart than a place is wide, but not more than this many times, are neighbours: along a path they show

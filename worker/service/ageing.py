@@ -13,7 +13,7 @@ from schemas.health import HealthFinding, SurveyedView
 from schemas.inbox import Proposal, Proposals
 from schemas.records import Filters, MapRecord
 from worker.method.ageing import Trend, fell_together, trend, usual_fall
-from worker.method.estimate import is_known
+from worker.method.positions import is_known
 from worker.service.ports import Views
 from worker.service.spots import by_place, coordinates, known_position, label, names_of
 from worker.service.twins import SHOWN

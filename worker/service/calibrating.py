@@ -18,8 +18,8 @@ from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
-from worker.method.estimate import distance, is_known
 from worker.method.own_calibration import Fitted, Indices, Labelled, OwnCalibration, calibrate, consecutive_blocks
+from worker.method.positions import distance, is_known
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue
 from worker.service.comparing import Descriptions

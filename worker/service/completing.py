@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from schemas.records import Position, ViewAttributes
-from worker.method.estimate import is_known
+from worker.method.positions import is_known
 from worker.service.recordings import Item
 
 PLACE = ("lat", "lon", "alt", "heading")

@@ -19,9 +19,9 @@ from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration, Verdict
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
-from worker.method.estimate import distance, is_known
 from worker.method.impostors import Impostors
 from worker.method.places import Places
+from worker.method.positions import distance, is_known
 from worker.search.fetcher import Fetcher
 from worker.search.ports import SearchableIndex
 

@@ -30,7 +30,7 @@ from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
-from worker.method.estimate import is_known
+from worker.method.positions import is_known
 from worker.search.catalogue import MakeIndex
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue, Index, SearchableIndex

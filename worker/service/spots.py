@@ -9,7 +9,7 @@ import numpy as np
 from schemas.comparisons import KnownView
 from schemas.records import Position
 from worker.method import coverage
-from worker.method.estimate import EARTH_M, is_known, metres
+from worker.method.positions import EARTH_M, is_known, metres
 
 
 class View(Protocol):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from schemas.errors import InvalidParameters
 from schemas.imports import ImportOptions
 from schemas.records import ViewAttributes
-from worker.method.estimate import distance, is_known
+from worker.method.positions import distance, is_known
 from worker.service.recordings import Note, Recording
 
 SLACK = 1e-6
