@@ -1,4 +1,4 @@
-"""Records that store, index and encoder return: frozen, without behaviour."""
+"""Records that store, index and encoder return: frozen, without I/O."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -287,6 +287,13 @@ class Filters:
     where: Predicate | None = None
     exclude_last: int | timedelta | None = None
     exclude: tuple[str, ...] = ()
+
+    @classmethod
+    def around(cls, position: Position, radius_m: float) -> "Filters":
+        """Selects the views within so many metres of a position that has coordinates, in the frame of these."""
+        geographic = position.lat is not None
+        first, second = (position.lat, position.lon) if geographic else (position.x, position.y)
+        return cls(near=(float(first or 0), float(second or 0), radius_m), geographic=geographic)
 
 
 @dataclass(frozen=True)

@@ -122,10 +122,8 @@ class AgeingPlaces:
             filters = Filters(place=place.views[0].known.name)
         elif where is None:
             return None
-        elif where.lat is not None:
-            filters = Filters(near=(where.lat, where.lon or 0.0, within), geographic=True)
         else:
-            filters = Filters(near=(where.x or 0.0, where.y or 0.0, within), geographic=False)
+            filters = Filters.around(where, within)
         views, _ = self._views.list(name, filters, newest_first=True, limit=1)
         return views[0].enrolled_at.astimezone(UTC).toordinal() if views else None
 

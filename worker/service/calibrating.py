@@ -278,13 +278,13 @@ class CalibrationService:
 
     def _knows(self, view: ViewRecord, query: LabelledView, within: float) -> bool:
         """Whether the map has a view of the query's place besides the query itself."""
-        where = query.position
-        if where is not None and is_known(where):
-            geographic = where.lat is not None
-            first, second = (where.lat, where.lon) if geographic else (where.x, where.y)
-            near = (float(first or 0), float(second or 0), within)
-            return bool(self._showing(view.map, Filters(near=near, geographic=geographic)) - {view.seq})
-        return query.place is not None and bool(self._showing(view.map, Filters(place=query.place)) - {view.seq})
+        if query.position is not None and is_known(query.position):
+            filters = Filters.around(query.position, within)
+        elif query.place is not None:
+            filters = Filters(place=query.place)
+        else:
+            return False
+        return bool(self._showing(view.map, filters) - {view.seq})
 
     def _showing(self, name: str, filters: Filters) -> set[int]:
         only = self._listings.select(name, filters).only

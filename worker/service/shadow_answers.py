@@ -157,9 +157,7 @@ def place_of(view: ViewRecord, within_m: float) -> Filters | None:
     """Selects the views of a view's place as its user told it: by its position, else its name; None when neither."""
     position, place = view.attributes.position, view.attributes.place
     if is_known(position):
-        geographic = position.lat is not None
-        first, second = (position.lat, position.lon) if geographic else (position.x, position.y)
-        return Filters(near=(float(first or 0), float(second or 0), within_m), geographic=geographic)
+        return Filters.around(position, within_m)
     return None if place is None else Filters(place=place)
 
 
