@@ -280,9 +280,7 @@ class Loop:
                     if image is None:
                         image = self._decode(self._views.image(claim.view.id))
                     describer = self._describers.of(claim.recipe)
-                    future = self._scheduler.submit(
-                        image, describer.describe, urgent=False, parallel=describer.keypoints
-                    )
+                    future = describer.submit(self._scheduler, image, urgent=False)
                 except Exception as error:
                     future = Future()
                     future.set_exception(error)

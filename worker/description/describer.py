@@ -1,5 +1,6 @@
 """Image to description: the method's steps on a pixel field, in the paper's order."""
 
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +21,7 @@ from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from worker.description.local_features import local_features
 from worker.description.ports import Encoder
+from worker.description.scheduler import Scheduler, Timed
 from worker.description.vocabularies import Vocabulary
 from worker.method import context_graph, dense_cells, labels, sampling, static_mask, vocabulary
 from worker.method.byte_vectors import Product, float_product, quantise
@@ -98,6 +100,24 @@ class Describer:
             return None
         side, equalised = wanted.local_features_side, wanted.local_features_equalised
         return local_features(image.pixels, wanted.local_features, side, equalised)
+
+    def submit(self, scheduler: Scheduler, image: Image, *, urgent: bool) -> "Future[Timed[Description]]":
+        """Queue an image to be described: its field is encoded while its local features are found.
+
+        Parameters
+        ----------
+        scheduler : Scheduler
+            Of the describer's encoder.
+        image : Image
+        urgent : bool
+            True for queries, False for enrolments.
+
+        Raises
+        ------
+        Busy, Unavailable
+            As `Scheduler.submit`.
+        """
+        return scheduler.submit(image, self.describe, urgent=urgent, parallel=self.keypoints)
 
     def describe(self, image: Image, field: PixelField, found: LocalFeatures | None) -> Description:
         """The description of an image by the recipe; `found` are the local features from `keypoints`.

@@ -27,7 +27,7 @@ from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, JobProgress, MapClaim, MapRecord, ViewRecord
 from worker.description import vocabularies
 from worker.description.describers import Describers
-from worker.description.scheduler import Scheduler
+from worker.description.scheduler import Scheduler, field_alone
 
 log = logging.getLogger("revisit.worker")
 
@@ -173,7 +173,7 @@ class VocabularyTrainer:
             except (BadImage, Damaged) as error:
                 log.warning("the view %s is left out of a vocabulary: %s", ids[number], error.detail)
                 continue
-            yield self._scheduler.submit(image, lambda _, field: field, urgent=False).result().value
+            yield self._scheduler.submit(image, field_alone, urgent=False).result().value
 
 
 LOOK_EVERY_S = 20.0

@@ -78,10 +78,7 @@ class QueryKeeper:
         words = self._maps.blur(name)
         if words:
             blurred = self._blurring.cover(self._decode(image), words, urgent=True)
-            describer = self._describers.of(recipe)
             # Keypoints of people are features of people: they do not stay either.
-            described = self._scheduler.submit(
-                blurred.image, describer.describe, urgent=True, parallel=describer.keypoints
-            )
+            described = self._describers.of(recipe).submit(self._scheduler, blurred.image, urgent=True)
             image, description = blurred.data, described.result().value
         self._kept.keep(name, query_id, recipe, description, image, now, match, words)

@@ -81,8 +81,7 @@ class Searcher:
         """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy, CallerGone."""
         caller = caller or Caller()
         caller.check()
-        submitted = self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints)
-        return caller.result(submitted)
+        return caller.result(describer.submit(self._scheduler, image, urgent=True))
 
     def describe_and_search(
         self,

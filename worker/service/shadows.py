@@ -315,8 +315,7 @@ class ShadowService:
         if describer is None:
             return None
         try:
-            task = self._scheduler.submit(image, describer.describe, urgent=False, parallel=describer.keypoints)
-            return task.result()
+            return describer.submit(self._scheduler, image, urgent=False).result()
         except NothingStatic:
             return None
 
