@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -140,6 +140,28 @@ class ViewRecord:
     state: ViewState
     failure: tuple[str, str] | None
     description: DescriptionRecord | None
+
+
+class PlaceRecord(NamedTuple):
+    """A place of a map.
+
+    Parameters
+    ----------
+    map, place : str
+        Names of the map and of the place.
+    views : int
+        Number of its views.
+    position : Position
+        Mean position of those that have one.
+    last_enrolled_at : datetime
+        Of the newest view.
+    """
+
+    map: str
+    place: str
+    views: int
+    position: Position
+    last_enrolled_at: datetime
 
 
 @dataclass(frozen=True)

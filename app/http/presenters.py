@@ -10,7 +10,7 @@ from typing import Literal
 from schemas import wire
 from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
-from schemas.records import JobRecord, Position, ViewRecord
+from schemas.records import JobRecord, PlaceRecord, Position, ViewRecord
 from worker.images.palette import colour
 from worker.method.camera_fixed import share_left_out
 from worker.method.decision import Decision, PlaceProbability, own_share
@@ -170,10 +170,9 @@ def _map_decision(state: MapState) -> wire.MapDecision:
     )
 
 
-def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
-    """A place, from (map, name, number of views, mean position, time of the last enrolment)."""
-    map_name, name, views, mean, last = row
-    return wire.Place(map=map_name, place=name, views=views, position=position(mean), last_enrolled_at=last)
+def place(record: PlaceRecord) -> wire.Place:
+    """A place."""
+    return wire.Place(**{**record._asdict(), "position": position(record.position)})
 
 
 def labelled_view(labelled: LabelledView) -> wire.View:

@@ -16,7 +16,7 @@ from schemas.records import (
     JobState,
     MapCounts,
     MapRecord,
-    Position,
+    PlaceRecord,
     Selection,
     ViewAttributes,
     ViewRecord,
@@ -142,8 +142,8 @@ class Listings(Protocol):
 
     def places(
         self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
-    ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
-        """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next."""
+    ) -> tuple[list[PlaceRecord], str | None]:
+        """A page of places by map and name, and the cursor of the next."""
         ...
 
 

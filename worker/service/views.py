@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 
 import numpy as np
 
 from schemas.description import Floats
 from schemas.errors import Conflict, InvalidParameters
-from schemas.records import Filters, Position, ViewAttributes, ViewRecord
+from schemas.records import Filters, PlaceRecord, ViewAttributes, ViewRecord
 from schemas.removal import Removal
 from worker.method.label_terms import dropped, presence
 from worker.service.label_search import terms_of
@@ -171,8 +170,8 @@ class ViewService:
 
     def places(
         self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
-    ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
-        """A page of (map, place, views, mean position, last enrolment), and the cursor of the next."""
+    ) -> tuple[list[PlaceRecord], str | None]:
+        """A page of places by map and name, and the cursor of the next; `among`: of these maps alone."""
         return self._listings.places(map_name, cursor, limit, among)
 
     def _labelled(self, record: ViewRecord) -> LabelledView:

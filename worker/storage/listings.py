@@ -3,14 +3,13 @@
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from datetime import datetime
 from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
 
 from schemas.errors import Damaged
-from schemas.records import Filters, Position, Selection, Sequence64
+from schemas.records import Filters, PlaceRecord, Position, Selection, Sequence64
 from worker.storage.database import Database
 from worker.storage.filter_cache import FilterCache
 from worker.storage.filtering import allowing, excluding
@@ -51,11 +50,8 @@ class Listings(Part):
 
     def places(
         self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
-    ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
-        """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next.
-
-        `among`: of these maps alone.
-        """
+    ) -> tuple[list[PlaceRecord], str | None]:
+        """A page of places by map and name, and the cursor of the next; `among`: of these maps alone."""
         means = [sa.func.avg(VIEWS.c[column]).label(column) for column in MEANS]
         page = (
             sa.select(
@@ -84,7 +80,7 @@ class Listings(Part):
             rows = list(connection.execute(page))
         following = cursor_after(BY_PLACE, rows[limit - 1].map, rows[limit - 1].place) if len(rows) > limit else None
         places = [
-            (row.map, row.place, row.views, _mean_position(row), row.last)
+            PlaceRecord(row.map, row.place, row.views, _mean_position(row), row.last)
             for row in rows[:limit]
             if _is_text(row.place)
         ]
