@@ -12,6 +12,7 @@ import numpy.typing as npt
 from schemas.description import DETAIL, Int8s
 from worker.method import hough
 from worker.method.byte_vectors import Product, float_product
+from worker.method.cell_regions import bounding_box, smoothed
 from worker.method.channel_fusion import length, slice_channel
 from worker.method.context_graph import Components
 from worker.method.dense_cells import burstiness_weight, correspondences
@@ -123,7 +124,7 @@ def agreeing(
     cell_aspect : float64 of shape (2,), optional
         Height and width of the candidate's cells relative to the query's; without it, 1.
     align_scale : float
-        Factor on the similarity of detail alone (`worker.method.cascade.DenseEvidence`): when that is larger, its
+        Factor on the similarity of detail alone (`worker.method.evidence.DenseEvidence`): when that is larger, its
         cells are returned, with weights times the square of the factor. 0 compares all channels together only.
     product : Product
 
@@ -161,7 +162,7 @@ def contrast(
     cells whose own difference has the region's sign; the strength sums the differences themselves.
     """
     difference = first.of_query() - rival.of_query()
-    smooth = _smooth(difference)
+    smooth = smoothed(difference, "constant")
     least = LEAST_DIFFERENCE * float(np.abs(smooth).max(initial=0))
     found: list[tuple[float, npt.NDArray[np.bool_]]] = []
     for sign in (1, -1):
@@ -173,7 +174,8 @@ def contrast(
     numbers = np.zeros(difference.shape, np.int32)
     for number, (_, region) in enumerate(found[:most], start=1):
         numbers[region] = number
-    return Contrast(difference, numbers, tuple(_region(cells, extent, of) for of, cells in found[:most]))
+    regions = tuple(Region(*bounding_box(cells, extent), strength) for strength, cells in found[:most])
+    return Contrast(difference, numbers, regions)
 
 
 def _agreeing(
@@ -198,20 +200,3 @@ def _agreeing(
     return CellEvidence(
         shape, pairs.query_cell[won.pairs][kept], pairs.candidate_cell[won.pairs][kept], weight, channel
     )
-
-
-def _smooth(values: Doubles) -> Doubles:
-    """Means over 3 x 3 cells; beyond the border counts as 0."""
-    rows, columns = values.shape
-    padded = np.pad(values, 1)
-    total: Doubles = np.sum([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
-    return total / 9
-
-
-def _region(cells: npt.NDArray[np.bool_], extent: tuple[float, float], strength: float) -> Region:
-    """A region from its cells, bool (rows, columns)."""
-    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
-    height, width = extent[1] / cells.shape[0], extent[0] / cells.shape[1]
-    left, right = float(columns[0]) * width, float(columns[-1] + 1) * width
-    top, bottom = float(rows[0]) * height, float(rows[-1] + 1) * height
-    return Region(((left + right) / 2, (top + bottom) / 2), (right - left, bottom - top), strength)

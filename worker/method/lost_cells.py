@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Booleans, Floats
+from worker.method.cell_regions import Point, smoothed
 from worker.method.labels import label_map
 
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
-Point = tuple[float, float]
 
 REACH = 0.05
 """How far around its expected position a cell is looked for, as a fraction of the longer side: room for parallax."""
@@ -84,7 +84,7 @@ class Compared:
     @property
     def lost(self) -> Booleans:
         """The cells that are lost, of shape (rows, columns)."""
-        return self.comparable & (_smooth(self.similarity) < LOST)
+        return self.comparable & (smoothed(self.similarity, "edge") < LOST)
 
 
 def compare(here: PhotoCells, there: PhotoCells, transform: Doubles) -> Compared:
@@ -136,11 +136,3 @@ def _looked_for(here: PhotoCells, there: PhotoCells, row: Indices, column: Indic
             short = best[r, c] - there.scores[r, c, labels]
             shortage = np.where(within, np.minimum(shortage, short), shortage)
     return likest, shortage
-
-
-def _smooth(values: Doubles) -> Doubles:
-    """Means over 3 x 3 cells; the border counts as it continues."""
-    rows, columns = values.shape
-    padded = np.pad(values, 1, mode="edge")
-    total: Doubles = np.sum([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
-    return total / 9

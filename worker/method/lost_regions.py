@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from schemas.description import Booleans, Floats
+from worker.method.cell_regions import Point, bounding_box
 from worker.method.context_graph import Components
-from worker.method.lost_cells import Compared, PhotoCells, Point
+from worker.method.lost_cells import Compared, PhotoCells
 
 SMALLEST = 0.004
 """Regions of a smaller share of the photo are left out: they are as often noise as things."""
@@ -106,7 +107,8 @@ def find_regions(here: PhotoCells, there: PhotoCells, compared: Compared, compon
             "border": float((near & ~compared.comparable).sum() / max(int((near & ~cells).sum()), 1)),
         }
         label, instead = (int(scores.mean(axis=0).argmax()) for scores in (here.scores[cells], there.scores[other]))
-        found.append(Region(_spot(cells, here.extent), label, instead, features, here.cells[cells], around))
+        spot = Spot(*bounding_box(cells, here.extent), float(cells.mean()), cells)
+        found.append(Region(spot, label, instead, features, here.cells[cells], around))
     return found
 
 
@@ -127,11 +129,3 @@ def _grown(cells: Booleans, by: int) -> Booleans:
         for x in range(2 * by + 1):
             grown |= padded[y : y + rows, x : x + columns]
     return grown
-
-
-def _spot(cells: Booleans, extent: Point) -> Spot:
-    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
-    height, width = extent[1] / cells.shape[0], extent[0] / cells.shape[1]
-    left, right = float(columns[0]) * width, float(columns[-1] + 1) * width
-    top, bottom = float(rows[0]) * height, float(rows[-1] + 1) * height
-    return Spot(((left + right) / 2, (top + bottom) / 2), (right - left, bottom - top), float(cells.mean()), cells)
