@@ -22,5 +22,5 @@ def test_a_tie_goes_to_the_lowest_label() -> None:
 
 
 def test_shares_count_absent_labels_too() -> None:
-    shares = labels.shares(np.array([[0, 0], [2, 0]], np.int16), words=4)
+    shares = labels.shares(np.array([[0, 0], [2, 0]], np.int16), count=4)
     assert shares.tolist() == [0.75, 0, 0.25, 0]

@@ -52,17 +52,17 @@ class Describer:
     encoder : Encoder
         Made the fields; only its text vectors are used here.
     recipe : DescriptionRecipe
-    words : Vocabulary
-        The vocabulary that the recipe names.
+    vocabulary : Vocabulary
+        The one that the recipe names.
     product : Product
         Multiplies descriptors with visual words.
     """
 
     def __init__(
-        self, encoder: Encoder, recipe: DescriptionRecipe, words: Vocabulary, product: Product = float_product
+        self, encoder: Encoder, recipe: DescriptionRecipe, vocabulary: Vocabulary, product: Product = float_product
     ) -> None:
         self.recipe = recipe
-        self.vocabulary = words
+        self.vocabulary = vocabulary
         self._product = product
         self._text = encoder.text_vectors(recipe.labels)
         self._dynamic = np.isin(np.array(recipe.labels), np.array(recipe.dynamic))

@@ -8,12 +8,12 @@ SLACK = 0.08
 """By how much another label's cosine may exceed that of a covered one: rather a wall too much than a person too few."""
 
 
-def covered(word_scores: Floats, wanted: Booleans, slack: float = SLACK) -> Booleans:
+def covered(label_scores: Floats, wanted: Booleans, slack: float = SLACK) -> Booleans:
     """Cells whose label is one of those wanted, or nearly.
 
     Parameters
     ----------
-    word_scores : float32 of shape (rows, columns, labels)
+    label_scores : float32 of shape (rows, columns, labels)
         Cosines, as from `labels.scores`.
     wanted : bool of shape (labels,)
         True for labels of things that are to be covered.
@@ -25,8 +25,8 @@ def covered(word_scores: Floats, wanted: Booleans, slack: float = SLACK) -> Bool
     bool of shape (rows, columns)
     """
     if not wanted.any():
-        return np.zeros(word_scores.shape[:2], np.bool_)
+        return np.zeros(label_scores.shape[:2], np.bool_)
     if wanted.all():
-        return np.ones(word_scores.shape[:2], np.bool_)
-    found: Booleans = word_scores[..., wanted].max(axis=-1) >= word_scores[..., ~wanted].max(axis=-1) - slack
+        return np.ones(label_scores.shape[:2], np.bool_)
+    found: Booleans = label_scores[..., wanted].max(axis=-1) >= label_scores[..., ~wanted].max(axis=-1) - slack
     return found

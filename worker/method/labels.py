@@ -27,34 +27,34 @@ def scores(embeddings: Floats, text_vectors: Floats) -> Floats:
     return product
 
 
-def label_map(word_scores: Floats) -> LabelMap:
+def label_map(label_scores: Floats) -> LabelMap:
     """Index of the label with the largest score, per cell; ties go to the lowest index.
 
     Parameters
     ----------
-    word_scores : float32 of shape (rows, columns, labels)
+    label_scores : float32 of shape (rows, columns, labels)
 
     Returns
     -------
     int16 of shape (rows, columns)
     """
-    best: LabelMap = np.argmax(word_scores, axis=-1).astype(np.int16)
+    best: LabelMap = np.argmax(label_scores, axis=-1).astype(np.int16)
     return best
 
 
-def shares(labels: LabelMap, words: int) -> Floats:
+def shares(labels: LabelMap, count: int) -> Floats:
     """Share of the cells that have each label.
 
     Parameters
     ----------
     labels : int16 of shape (rows, columns)
-    words : int
+    count : int
         Number of labels.
 
     Returns
     -------
-    float32 of shape (words,)
+    float32 of shape (count,)
         Sums to 1.
     """
-    counts = np.bincount(labels.ravel(), minlength=words)
+    counts = np.bincount(labels.ravel(), minlength=count)
     return (counts / max(labels.size, 1)).astype(np.float32)

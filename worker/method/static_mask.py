@@ -5,7 +5,7 @@ import numpy as np
 from schemas.description import Booleans, Floats
 
 
-def static_cells(word_scores: Floats, dynamic: Booleans, margin: float = 0.0, most: float = 1.0) -> Booleans:
+def static_cells(label_scores: Floats, dynamic: Booleans, margin: float = 0.0, most: float = 1.0) -> Booleans:
     """Cells whose label is not dynamic.
 
     With ``margin=0`` and ``most=1`` this is the paper's rule: a cell is dropped when its best label is dynamic. Outside
@@ -14,7 +14,7 @@ def static_cells(word_scores: Floats, dynamic: Booleans, margin: float = 0.0, mo
 
     Parameters
     ----------
-    word_scores : float32 of shape (rows, columns, labels)
+    label_scores : float32 of shape (rows, columns, labels)
         Cosines, as from `labels.scores`.
     dynamic : bool of shape (labels,)
         True for labels of things that move.
@@ -30,14 +30,14 @@ def static_cells(word_scores: Floats, dynamic: Booleans, margin: float = 0.0, mo
         the image has no static content.
     """
     if not dynamic.any():
-        return np.ones(word_scores.shape[:2], dtype=np.bool_)
+        return np.ones(label_scores.shape[:2], dtype=np.bool_)
     if dynamic.all():
-        return np.zeros(word_scores.shape[:2], dtype=np.bool_)
+        return np.zeros(label_scores.shape[:2], dtype=np.bool_)
     # As in `labels.label_map`, ties included: the first of the largest scores decides.
-    moving: Booleans = dynamic[np.argmax(word_scores, axis=-1)]
+    moving: Booleans = dynamic[np.argmax(label_scores, axis=-1)]
     if moving.all():
         return ~moving
-    lead = word_scores[..., dynamic].max(axis=-1) - word_scores[..., ~dynamic].max(axis=-1)
+    lead = label_scores[..., dynamic].max(axis=-1) - label_scores[..., ~dynamic].max(axis=-1)
     moving &= lead >= margin
     allowed = int(most * moving.size)
     excess = int(moving.sum()) - allowed
