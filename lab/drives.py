@@ -31,6 +31,7 @@ from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 from worker.service.drives import Drives
 from worker.service.query import QueryResult
+from worker.service.query_options import QueryOptions
 
 FOREVER_S = 86400.0
 HEADING = (
@@ -72,7 +73,7 @@ def alone(trial: Trial, service: ServiceRetriever) -> list[QueryResult]:
     """What the service says of each query as the first image of a drive of its own."""
     query = service.runtime.services.query
     return [
-        query.query(one.image.read_bytes(), service.map_name, drive=f"image-{index}", keep=False)
+        query.query(one.image.read_bytes(), service.map_name, options=QueryOptions(drive=f"image-{index}", keep=False))
         for index, one in enumerate(trial.queries)
     ]
 

@@ -14,10 +14,11 @@ from app.http.long_work import LongWork
 from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError, StorageFailed
-from schemas.records import Filters, ViewAttributes
+from schemas.records import ViewAttributes
 from worker.service.caller import Caller
 from worker.service.enroll import Accepted, EnrollService
 from worker.service.query import QueryService
+from worker.service.query_options import QueryOptions
 from worker.service.settlements import Settlements
 
 SEARCHING = 8
@@ -122,38 +123,10 @@ class Recogniser:
             return error
 
     async def query(
-        self,
-        image: bytes,
-        *maps: str,
-        top: int,
-        candidates: int | None,
-        filters: Filters,
-        precision: float | None,
-        explain: bool,
-        drive: str | None,
-        drive_timeout_s: float,
-        consistent: int | None = None,
-        call: str | None = None,
-        keep: bool = True,
-        caller: Caller | None = None,
+        self, image: bytes, *maps: str, options: QueryOptions, caller: Caller | None = None
     ) -> wire.QueryAnswer:
         """Rank the views of some maps that may show the place of an image; raises as `QueryService.query`."""
-        query = partial(
-            self._query.query,
-            image,
-            *maps,
-            top=top,
-            candidates=candidates,
-            filters=filters,
-            precision=precision,
-            explain=explain,
-            drive=drive,
-            drive_timeout_s=drive_timeout_s,
-            consistent=consistent,
-            call=call,
-            keep=keep,
-            caller=caller,
-        )
+        query = partial(self._query.query, image, *maps, options=options, caller=caller)
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
         answer = presenters.query_answer(result)
         self._tell(answer)

@@ -16,6 +16,7 @@ from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position, ViewAttributes
 from worker.runtime import Runtime
 from worker.service.query import QueryResult
+from worker.service.query_options import QueryOptions
 
 ROOMS = tuple(Path(room.__path__[0]) for room in (schemas, worker))
 """Folders of the program that decides answers."""
@@ -88,7 +89,7 @@ class ServiceRetriever:
         if not self._compared:
             self.runtime.comparer.all()
             self._compared = True
-        return self.runtime.services.query.query(image.read_bytes(), self.map_name, top=top)
+        return self.runtime.services.query.query(image.read_bytes(), self.map_name, options=QueryOptions(top=top))
 
 
 def evidence(result: QueryResult) -> dict[str, float]:

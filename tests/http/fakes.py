@@ -38,6 +38,7 @@ from tests.http.fake_inbox import FakeInbox
 from tests.http.fake_shadows import FakeShadows
 from tests.http.fake_snapshots import FakeSnapshots
 from worker.images.codec import Limits, decode, facts, thumbnail
+from worker.service.query_options import QueryOptions
 
 NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
@@ -131,36 +132,17 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
             timing_ms={"decode": 1.0, "total": 2.0},
         )
 
-    async def query(
-        self,
-        image: bytes,
-        *maps: str,
-        top: int,
-        candidates: int | None,
-        filters: Filters,
-        precision: float | None,
-        explain: bool,
-        caller: Any = None,
-        **drive: Any,
-    ) -> wire.QueryAnswer:
+    async def query(self, image: bytes, *maps: str, options: QueryOptions, caller: Any = None) -> wire.QueryAnswer:
         map_name = maps[0]
         self._may_fail("query")
         decode(image, self.limits)
-        self.given = {
-            "map": ",".join(maps),
-            "top": top,
-            "precision": precision,
-            "candidates": candidates,
-            "filters": filters,
-            "explain": explain,
-            **drive,
-        }
+        self.given = {"map": ",".join(maps), **vars(options)}
         views = [kept for kept in self.kept.values() if kept.map == map_name]
         if not views:
             raise NotFound("map", map_name)
         matches = [
             wire.Match.model_validate({**MATCH, "rank": rank, "view": kept.view().model_dump()})
-            for rank, kept in enumerate(views[:top], 1)
+            for rank, kept in enumerate(views[: options.top], 1)
         ]
         return wire.QueryAnswer.model_validate({**QUERY_ANSWER, "map": map_name}).model_copy(
             update={"matches": matches, "searched": len(views)}

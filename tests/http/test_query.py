@@ -34,6 +34,7 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "drive_timeout_s": 60,
         "consistent": None,
         "call": None,
+        "keep": True,
     }
 
 

@@ -27,6 +27,7 @@ from tests.lab.test_service import street
 from worker.encoders.color import ColorEncoder
 from worker.method.calibration import Verdict
 from worker.runtime import Runtime
+from worker.service.query_options import QueryOptions
 
 
 class CountingEncoder(ColorEncoder):
@@ -107,7 +108,7 @@ def test_maps_are_enrolled_with_names_or_positions(runtime: Runtime, sets: list[
         with map_of_its_own(runtime, runtime.default_recipe, "default", dataset) as service:
             decide_all(replace(whole(dataset), queries=()), service)
             seqs = [c.seq for c in runtime.services.query.query(
-                dataset.database[0].read_bytes(), service.map_name, top=12
+                dataset.database[0].read_bytes(), service.map_name, options=QueryOptions(top=12)
             ).results.views]  # fmt: skip
             said = [view.attributes for view in runtime.store.views.at(seqs).values()]
         assert len(said) == 12

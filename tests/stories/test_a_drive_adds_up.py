@@ -17,11 +17,13 @@ from tests.stories.photos import jpeg, photo
 from worker.method.decision import decide
 from worker.runtime import Runtime, build
 from worker.service.drives import Driven, Drives
+from worker.service.query_options import QueryOptions
 from worker.service.results import RankedResults
 
 pytestmark = pytest.mark.one_database("drives are kept in the memory of the service")
 
 JPEG = {"content-type": "image/jpeg"}
+NOT_KEPT = QueryOptions(keep=False)
 STREET = [0.0, 3.0, 6.0, 9.0, 12.0, 15.0]
 
 
@@ -247,9 +249,8 @@ def test_a_drive_finds_its_place_behind_the_views_that_an_image_has_already(
 
     few, many, deleted = Drives(further), Drives(further), Drives(gone)
     for ahead in [*STREET, *reversed(STREET)]:
-        image = runtime.services.query.query(
-            photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead + 0.4, turn=14).at("dusk")), "default", keep=False
-        )
+        taken = photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead + 0.4, turn=14).at("dusk"))
+        image = runtime.services.query.query(taken, "default", options=NOT_KEPT)
         answers = []
         for drives, top in ((few, 1), (many, len(STREET)), (deleted, 1)):
             recipe = image.results.recipe.description
@@ -269,7 +270,7 @@ def test_images_under_way_together_count_whichever_is_answered_first(client: Che
     for ahead in STREET[:2]:
         taken = photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead, turn=14))
         runtime.services.enroll.enroll(taken, "grows", ViewAttributes(place=f"{ahead:g}"), patience_s=60)
-        searched.append(runtime.services.query.query(taken, "grows", keep=False))
+        searched.append(runtime.services.query.query(taken, "grows", options=NOT_KEPT))
     first, second = (one.results for one in searched)
     assert first.first_map.revision < second.first_map.revision
 

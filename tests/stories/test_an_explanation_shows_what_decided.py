@@ -19,6 +19,7 @@ from worker.images.explanation import WIDTH, Sheet
 from worker.runtime import Runtime, build
 from worker.service.explanations import Explained, headline
 from worker.service.query import QueryResult
+from worker.service.query_options import QueryOptions
 from worker.service.results import ScoredView
 from worker.service.sheets import cells_of, name_of, sheet
 
@@ -42,7 +43,7 @@ def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runtime]:
 @pytest.fixture(scope="module")
 def result(runtime: Runtime) -> QueryResult:
     taken = photo(scene("mill lane").seen_from(dx=0.3, turn=-2).behind("bus"))
-    return runtime.services.query.query(taken, "town", top=8)
+    return runtime.services.query.query(taken, "town", options=QueryOptions(top=8))
 
 
 def explained(result: QueryResult) -> Explained:
@@ -213,7 +214,7 @@ def test_the_rival_is_shown_whatever_top_is_and_may_be_deleted(runtime: Runtime)
         attributes = ViewAttributes(place=name)
         runtime.services.enroll.enroll(photo(scene(name)), "again", attributes, patience_s=60)
     taken = photo(scene("mill lane").seen_from(turn=2))
-    kept = runtime.services.query.query(taken, "again", top=1, explain=True)
+    kept = runtime.services.query.query(taken, "again", options=QueryOptions(top=1, explain=True))
     assert [view.view.attributes.place for view in kept.results.views[: kept.top]] == ["mill lane"]
     draw = runtime.services.renderings.explanation
 
@@ -235,7 +236,8 @@ def test_views_are_called_what_they_are_called_now(runtime: Runtime) -> None:
     services = runtime.services
     for name in PLACES[2:]:
         services.enroll.enroll(photo(scene(name)), "renamed", ViewAttributes(place=name), patience_s=60)
-    kept = services.query.query(photo(scene("rose garden").seen_from(turn=2)), "renamed", explain=True)
+    taken = photo(scene("rose garden").seen_from(turn=2))
+    kept = services.query.query(taken, "renamed", options=QueryOptions(explain=True))
     for at in (0, 1):  # the match and its rival
         before = services.renderings.explanation(kept.id, None)
         view = kept.results.views[at].view

@@ -61,7 +61,7 @@ def test_a_query_is_answered_while_something_is_drawn(
         try:
             png = threads.submit(draw, runtime, view)
             assert begun.wait(PATIENCE_S)
-            answer = threads.submit(runtime.services.query.query, PHOTO, "town", top=1).result(PATIENCE_S)
+            answer = threads.submit(runtime.services.query.query, PHOTO, "town").result(PATIENCE_S)
 
             assert answer.results.views[0].view.id == view
             assert not png.done()

@@ -26,13 +26,12 @@ from worker.service.drives import Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.keeping import QueryKeeper
 from worker.service.ports import Views
+from worker.service.query_options import QueryOptions
 from worker.service.results import RankedResults, ScoredView, SearchOutcome
 from worker.service.searching import Searcher
 from worker.service.sheets import cells_of
 
 log = logging.getLogger("revisit.service")
-DRIVE_TIMEOUT_S = 60.0
-"""Seconds of silence after which a drive begins anew."""
 
 KEPT_SIZE = 1024
 """Longer side of the image of a query that is kept, pixels."""
@@ -156,20 +155,7 @@ class QueryService:
         self._explanations, self._drives = explanations, drives
 
     def query(
-        self,
-        data: bytes,
-        *maps: str,
-        top: int = 5,
-        candidates: int | None = None,
-        filters: Filters | None = None,
-        precision: float | None = None,
-        explain: bool = False,
-        drive: str | None = None,
-        drive_timeout_s: float = DRIVE_TIMEOUT_S,
-        consistent: int | None = None,
-        call: str | None = None,
-        keep: bool = True,
-        caller: Caller | None = None,
+        self, data: bytes, *maps: str, options: QueryOptions = QueryOptions(), caller: Caller | None = None
     ) -> QueryResult:
         """Which views of some maps show the place of an image.
 
@@ -179,27 +165,7 @@ class QueryService:
             The encoded image.
         maps : str
             Names of one map or more.
-        top : int
-            Number of views returned at most.
-        candidates : int, optional
-            Candidates of each channel that are re-ranked; None takes the map's setting, 0 ranks by histograms alone.
-        filters : Filters, optional
-            Applied to each map.
-        precision : float, optional
-            Share of matched answers that must be right, 0.5..0.999; None takes the map's setting.
-        explain : bool
-            Keep the query, so that its explanation can be drawn.
-        drive : str, optional
-            Name of the drive that the image is the next one of; only with one map.
-        drive_timeout_s : float
-            The drive begins anew when its last image is older.
-        consistent : int, optional
-            `matched` is said only where so many images of the drive in a row are matched one by one and come back to
-            one stretch of the map; None: their evidence adds up instead.
-        call : str, optional
-            Names the call: repeated, it is the same image of the drive, which counts once.
-        keep : bool
-            Whether the image may be kept among the maps' unknown places, or as a proposed view.
+        options : QueryOptions
         caller : Caller, optional
             Whoever waits for the answer. Where they leave before the turn of the image comes, no drive counts it and
             nothing is kept of it; from then on the query is finished without them.
@@ -208,52 +174,64 @@ class QueryService:
         ------
         BadImage, NotFound, NothingStatic, InvalidParameters, Busy, Unavailable, CallerGone
         """
-        if drive is not None and len(maps) > 1:
+        if options.drive is not None and len(maps) > 1:
             raise InvalidParameters.of("drive", "goes with one map")
         caller = caller or Caller()
         caller.check()
         began = time.perf_counter()
         # Unknown maps and views are refused before any work is done.
         describers = {name: self._searcher.describer(name) for name in maps}
-        wanted = self._filters(filters or Filters(), maps)
+        wanted = self._filters(options.filters, maps)
         image = self._decode(data)
         decoded = time.perf_counter()
         found, described = self._searcher.describe_and_search(
-            image, wanted, describers, top=max(top, GROUPED), candidates=candidates, caller=caller
+            image, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
         )
-        decisions = [_decide(one.results, precision, top, candidates) for one in found]
+        result = self._decided(image, maps, found, options)
+        if options.keep and options.of_whole_maps:
+            self._keep(result, data)
+        if options.explain:
+            result = replace(result, differs=self._explain(result))
+        timing_ms = {"decode": (decoded - began) * 1000, **_timing_ms(described, result.found)}
+        return replace(result, timing_ms={**timing_ms, "total": (time.perf_counter() - began) * 1000})
+
+    def _decided(
+        self, image: Image, maps: tuple[str, ...], found: Sequence[SearchOutcome], options: QueryOptions
+    ) -> QueryResult:
+        """The answer to a query, from what was found in the maps; a drive, if it is of one, counts the image."""
+        decisions = [_decide(one.results, options) for one in found]
         if blank := self._is_blank(image):
             decisions = [of_nothing(one) for one in decisions]
         driven = None
-        if drive is not None:
+        if options.drive is not None:
             [one], [decision] = found, decisions
             results, decision, driven = self._drives.follow(
-                (maps[0], drive), drive_timeout_s, one.results, decision, consistent, call, blank
+                (maps[0], options.drive),
+                options.drive_timeout_s,
+                one.results,
+                decision,
+                options.consistent,
+                options.call,
+                blank,
             )
             found, decisions = [replace(one, results=results)], [decision]
         joined = join(decisions)
         leading, decision = found[joined.leading], joined.decision
         if decision.status != "matched":
             decision = blame_image(decision, self._problem(image, leading))
-        result = QueryResult(
+        return QueryResult(
             id=str(uuid7()),
             image=image,
             names=maps,
             found=tuple(found),
             joined=joined,
             decision=decision,
-            top=top,
+            top=options.top,
             differs=(),
-            explained=explain,
+            explained=options.explain,
             driven=driven,
-            timing_ms={"decode": (decoded - began) * 1000, **_timing_ms(described, found)},
+            timing_ms={},
         )
-        whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
-        if keep and whole:
-            self._keep(result, data)
-        if explain:
-            result = replace(result, differs=self._explain(result))
-        return replace(result, timing_ms={**result.timing_ms, "total": (time.perf_counter() - began) * 1000})
 
     def _filters(self, filters: Filters, maps: Sequence[str]) -> dict[str, Filters]:
         """The filters of each map, with those views to exclude that are its own; raises InvalidParameters."""
@@ -330,17 +308,17 @@ class QueryService:
         return tuple(contrast(ours, theirs, explained.description.appearance.extent, components).regions)
 
 
-def _decide(results: RankedResults, precision: float | None, top: int, candidates: int | None) -> Decision:
+def _decide(results: RankedResults, options: QueryOptions) -> Decision:
     """The verdict on what one search found, by its map's precision and candidates where the query names none."""
     ranking = results.recipe.ranking
     return decide(
         results.ranking,
         results.levels,
         results.calibration,
-        precision or ranking.precision,
+        options.precision or ranking.precision,
         searched=results.searched,
-        shown=top,
-        measured_alike=candidates != 0 or ranking.candidates == 0,
+        shown=options.top,
+        measured_alike=options.candidates != 0 or ranking.candidates == 0,
     )
 
 

@@ -23,6 +23,7 @@ from schemas.errors import NotFound, RevisitError
 from schemas.records import Filters, Position, ViewAttributes
 from schemas.values import spellings
 from schemas.wire import QueryAnswer, View
+from worker.service.query_options import QueryOptions
 
 router = APIRouter(prefix=COMPREFACE, tags=["compatible services"], dependencies=checked)
 
@@ -245,18 +246,7 @@ async def verify(
 async def _query(request: Request, name: str, recogniser: Recogniser, metrics: Measures) -> QueryAnswer:
     _, image = await shapes.one_image(request)
     async with caller_of(request) as caller:
-        answer = await recogniser.query(
-            image,
-            name,
-            top=10,
-            candidates=None,
-            filters=Filters(),
-            precision=None,
-            explain=False,
-            drive=None,
-            drive_timeout_s=60.0,
-            caller=caller,
-        )
+        answer = await recogniser.query(image, name, options=QueryOptions(top=10), caller=caller)
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
     return answer

@@ -20,6 +20,7 @@ from app.http.rate_limits import charge_images
 from app.http.validation import problems_of
 from schemas.errors import BadBody, InvalidParameters, NoPose
 from schemas.records import Filters
+from worker.service.query_options import QueryOptions
 
 router = APIRouter(tags=["enrol and query"], dependencies=checked)
 
@@ -82,20 +83,14 @@ async def localize(
     wanted = _read(await json_object(request, LARGEST))
     charge_images(request, 1)
     near = wanted.near()
+    options = QueryOptions(
+        filters=Filters(near=near, geographic=None if near is None else True),
+        precision=params.precision,
+        keep=wanted.may_be_kept(),
+    )
     async with caller_of(request) as caller:
-        answer = await recogniser.query(
-            await asyncio.to_thread(wanted.image),
-            params.map,
-            top=5,
-            candidates=None,
-            filters=Filters(near=near, geographic=None if near is None else True),
-            precision=params.precision,
-            explain=False,
-            drive=None,
-            drive_timeout_s=60.0,
-            keep=wanted.may_be_kept(),
-            caller=caller,
-        )
+        image = await asyncio.to_thread(wanted.image)
+        answer = await recogniser.query(image, params.map, options=options, caller=caller)
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
     try:

@@ -20,6 +20,7 @@ from app.http.validation import read
 from schemas import wire
 from schemas.errors import Busy, ParameterError
 from schemas.wire import QueryAnswer
+from worker.service.query_options import QueryOptions
 
 router = APIRouter(tags=["enrol and query"])
 
@@ -58,22 +59,19 @@ async def query(
     params = read(QueryParameters, sent.parameters, errors)
     for name in params.searched():
         check_map(access, name)
-    call = key_of(request, access)
+    options = QueryOptions(
+        top=params.top,
+        candidates=params.candidates,
+        filters=params.filters(),
+        precision=params.precision,
+        explain=params.explain or params.changes,
+        drive=None if params.drive is None else access.own(params.drive),
+        drive_timeout_s=params.drive_timeout,
+        consistent=params.consistent,
+        call=key_of(request, access),
+    )
     async with caller_of(request) as caller:
-        answer = await recogniser.query(
-            sent.images[0][1],
-            *params.searched(),
-            top=params.top,
-            candidates=params.candidates,
-            filters=params.filters(),
-            precision=params.precision,
-            explain=params.explain or params.changes,
-            drive=None if params.drive is None else access.own(params.drive),
-            drive_timeout_s=params.drive_timeout,
-            consistent=params.consistent,
-            call=call,
-            caller=caller,
-        )
+        answer = await recogniser.query(sent.images[0][1], *params.searched(), options=options, caller=caller)
         metrics.stages("query", answer.timing_ms)
         metrics.verdict(answer.status, answer.reason.code)
         if params.changes:
