@@ -19,6 +19,7 @@ from worker.method import coverage
 from worker.method.calibration import Calibration
 from worker.method.near_duplicates import NEAR, SAME, alike, similarity
 from worker.method.places import NEIGHBOURHOOD
+from worker.service.match_standard import MatchStandard
 from worker.service.ports import Maps
 from worker.service.spots import (
     along,
@@ -122,15 +123,14 @@ class HealthService:
 
     def _examine(self, record: MapRecord) -> tuple[HealthReport, list[list[SurveyedView]]]:
         views, described = self._comparisons.survey(record.name, EXAMINED)
-        levels, ranking = self._comparisons.levels(record.name), record.ranking
-        groups = by_place(views, ranking.same_place_m)
+        levels, within = self._comparisons.levels(record.name), record.ranking.same_place_m
+        standard = MatchStandard(record.ranking.precision, levels, self._calibration(record))
+        groups = by_place(views, within)
         found = [
-            *find_twins(
-                views, ranking.same_place_m, ranking.precision, levels, self._calibration(record), label
-            ),
+            *find_twins(views, within, standard, label),
             *self._duplicates(views, record.description.id),
-            *_narrow(views, groups, ranking.same_place_m),
-        ]  # fmt: skip
+            *_narrow(views, groups, within),
+        ]
         compared = sum(view.comparison is not None for view in views)
         return HealthReport(record.name, record.revision, described, len(views), compared, tuple(found)), groups
 

@@ -10,10 +10,10 @@ from schemas.records import Filters, ViewRecord
 from worker.method.places import ENOUGH_PLACES, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.service.comparing import Descriptions
 from worker.service.duplicates import NearDuplicates, named, told
+from worker.service.match_standard import MatchStandard
 from worker.service.ports import Maps
 from worker.service.results import RankedResults
 from worker.service.searching import DescribedByAnother, Searcher
-from worker.service.twins import would_match
 
 log = logging.getLogger("revisit.service")
 
@@ -96,9 +96,8 @@ def _look_alike(view: ViewRecord, found: RankedResults) -> Resemblance | None:
         others = found.ranking.others  # places besides the first view's
         if others < ENOUGH_PLACES and not places.same(rival.seq, found.views[0].seq):
             others -= 1  # the rival's own
-        wins = wins or would_match(
-            rival.score, next_best, breadth, others, ranking.precision, found.levels, found.calibration
-        )
+        standard = MatchStandard(ranking.precision, found.levels, found.calibration)
+        wins = wins or standard.would_match(rival.score, next_best, breadth, others)
         if not wins:
             return None
     return Resemblance(

@@ -4,11 +4,10 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from schemas.comparisons import Comparison, MapLevels
+from schemas.comparisons import Comparison
 from schemas.health import HealthFinding, SurveyedView
-from worker.method.calibration import Calibration
-from worker.method.decision import expected_levels, features, floor
 from worker.method.places import Places
+from worker.service.match_standard import MatchStandard
 
 SHOWN = 10
 """Views that a finding names at most."""
@@ -37,9 +36,7 @@ class _Pair:
 def find_twins(
     views: Sequence[SurveyedView],
     same_place_m: float,
-    precision: float,
-    levels: MapLevels,
-    calibration: Calibration,
+    standard: MatchStandard,
     label: Callable[[SurveyedView], str],
 ) -> Iterator[HealthFinding]:
     """Twins among the views.
@@ -69,7 +66,7 @@ def find_twins(
         rival = None if compared.rival is None else of.get(compared.rival)
         if rival is None or compared.level is None or not places.told_apart(view.seq, rival.seq):
             continue
-        if _fools(compared, compared.level, precision, levels, calibration):
+        if _fools(compared, compared.level, standard):
             found = pair(view, rival)
             found.fooled += 1
             found.add(compared.level, view.id, rival.id)
@@ -87,7 +84,7 @@ def find_twins(
         )
 
 
-def _fools(compared: Comparison, level: float, precision: float, levels: MapLevels, calibration: Calibration) -> bool:
+def _fools(compared: Comparison, level: float, standard: MatchStandard) -> bool:
     """Whether a query with a view would be answered with its rival, which scores `level`.
 
     It is when the rival comes before any further view of the own place, or would be `matched` without that place.
@@ -95,37 +92,7 @@ def _fools(compared: Comparison, level: float, precision: float, levels: MapLeve
     if compared.own is not None and level >= compared.own:
         return True
     next_best = 0.0 if compared.gap is None else level - compared.gap
-    breadth = compared.breadth or 0.0
-    return would_match(level, next_best, breadth, compared.others, precision, levels, calibration)
-
-
-def would_match(
-    level: float,
-    next_best: float,
-    breadth: float,
-    others: int,
-    precision: float,
-    levels: MapLevels,
-    calibration: Calibration,
-) -> bool:
-    """Whether a query would be `matched` with a view that scores `level`, when the next place scores `next_best`.
-
-    Parameters
-    ----------
-    level, next_best : float
-        Scores, 0..1.
-    breadth : float
-        Of the lead.
-    others : int
-        Other places, or views of them where these are not known.
-    precision : float
-    levels : MapLevels
-        What wrong answers get in the map.
-    calibration : Calibration
-    """
-    usual = expected_levels(levels)
-    read = features(level, next_best, usual, breadth, floor(others, usual))
-    return bool(calibration.probabilities([read])[0] >= calibration.threshold(precision))
+    return standard.would_match(level, next_best, compared.breadth or 0.0, compared.others)
 
 
 def _one_spot(count: int) -> str:
