@@ -97,7 +97,7 @@ def test_features_by_hand() -> None:
     assert some["gap"] == pytest.approx(np.log1p(0.0125 / 0.04))
     assert some["breadth"] == pytest.approx(np.log(2))
     assert features(0.3, 0.5, broad, 6.0)["breadth"] == 0
-    both = features(0.5, 0.3, broad, 6.0, counts=1.0)
+    both = features(0.5, 0.3, broad, 6.0, own_weight=1.0)
     assert both["either"] == pytest.approx((np.log(3) ** 2 + (3 * both["own"]) ** 2) ** 0.5)
     assert some["either"] == some["breadth"]
 
@@ -106,7 +106,7 @@ def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_sh
     usual = MapLevels(10, 0.3, 0.02, own=0.78)
 
     def own(score: float, inliers: int | None, others: int = 10, rival: float = 0.3) -> float:
-        return features(score, rival, usual, counts=tells_apart(inliers, others))["own"]
+        return features(score, rival, usual, own_weight=tells_apart(inliers, others))["own"]
 
     half = 1 - np.log(2)
     assert own(0.38, 0) == pytest.approx(half)  # half of what they get

@@ -7,8 +7,9 @@ from hypothesis import given, strategies as st
 
 from schemas.comparisons import MapLevels
 from worker.method.calibration import Verdict
-from worker.method.decision import EMPTY, PRIOR, SURE, Decision, PlaceProbability, Reason, expected_levels
+from worker.method.decision import PRIOR, Decision, PlaceProbability, expected_levels
 from worker.method.joining import Joined, join, pooled
+from worker.method.reasons import EMPTY, SURE, Reason
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
 THRESHOLD, AMBIGUOUS = 0.9, 0.4

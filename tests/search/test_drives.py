@@ -10,8 +10,9 @@ import pytest
 
 from schemas.comparisons import KnownView, MapLevels
 from schemas.records import Position
-from worker.method.decision import GROUPED, SURE, Decision, PlaceProbability, confidences
+from worker.method.decision import GROUPED, Decision, PlaceProbability, confidences
 from worker.method.places import Places
+from worker.method.reasons import SURE
 from worker.service.drives import DRIVEN, Driven, Drives
 
 VIEWS, CANDIDATES, THRESHOLD = 200, 45, 0.9

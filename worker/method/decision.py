@@ -3,24 +3,24 @@
 What a wrong view scores differs from map to map: 0.2 among ten parks, 0.6 in a corridor of equal doors. A score says
 little by itself. These features say more, and mean the same in every map:
 
-- ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
-  wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
-  out (`schemas.comparisons.Comparison`).
-- ``level``: by how much the score falls short of what wrong answers get in this map.
-- ``breadth``: over how much of the image the place leads (`worker.method.breadth`), in the breadths that leads of wrong
-  answers have in this map.
-- ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets
-  less than wrong answers do, in other light, that much less is asked of it.
-- ``either``: `breadth` and `own` as the sides of a right angle. A broad lead needs no high score, nor this that.
+- ``gap``: the lead of a place, which is the score of its best view less that of the best view of any other place, in
+  units of the lead that wrong answers have in this map. The map learns these units by being queried with its own views,
+  their places left out (`schemas.comparisons.Comparison`).
+- ``level``: by how much the score falls short of what wrong answers get in this map; 0 where it does not.
+- ``breadth``: over how much of the image the place leads (`worker.method.breadth`), in units of the breadth that leads
+  of wrong answers have in this map.
+- ``own``: how near the score comes to what views of one place get of each other in this map. In other light all views
+  score less: by as much as the rival scores less than wrong answers do, less is asked of the first place too.
+- ``either``: `breadth` and `own` as the sides of a right angle. A broad lead needs no high score, and a high score no
+  broad lead.
 
-`own` says that the query shows something like the place, not which of two that look alike. It counts the less, the more
-keypoints of another place agree with the query too. The curve that ships reads all but `own` itself.
+`own` says that the query shows something like the place, but not which of two places that look alike. It counts for
+less the more keypoints of another place agree with the query too. The shipped curve reads all features but `own`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
-from typing import Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from schemas.comparisons import MapLevels
 from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS
+from worker.method.reasons import BETTER_PHOTO, EMPTY, HISTOGRAMS_ALONE, NOTHING_SHOWN, Reason, reason_for
 
 USUAL_BREADTH = 2.0
 USUAL_OWN = 0.7
@@ -67,11 +68,6 @@ ALIKE_INLIERS = 10.0
 FEW_OTHERS = 0.25
 """Power of the share of `ENOUGH_PLACES` enrolled besides, by which it counts less: unknown twins are likelier."""
 
-FEW_VIEWS = 5
-"""With fewer searched views than this, an answer that stands out from nothing says so."""
-
-Code = Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"]
-
 
 @dataclass(frozen=True)
 class PlaceProbability:
@@ -87,24 +83,6 @@ class PlaceProbability:
 
     probability: float
     views: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Reason:
-    """Why the verdict is what it is.
-
-    Parameters
-    ----------
-    code : str
-        ``sure``; ``look-alike``: another place is as good; ``weak``: nothing stands out from what wrong places get;
-        ``few-views``: too little is enrolled to tell; ``poor-picture``; ``empty``: there was nothing to search.
-    detail, remedy : str
-        What was seen, and what to do.
-    """
-
-    code: Code
-    detail: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -186,7 +164,7 @@ def features(
     levels: MapLevels,
     breadth: float = 0.0,
     least: float = 0.0,
-    counts: float = 0.0,
+    own_weight: float = 0.0,
     impostor: float = 0.0,
 ) -> dict[str, float]:
     """Features of a place; each grows with the evidence for it.
@@ -203,17 +181,31 @@ def features(
         Of the lead over that view, at least 0.
     least : float
         Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
-    counts : float
+    own_weight : float
         What `own` counts, 0..1 (`tells_apart`): 0 for a place that is not the first.
     impostor : float
         Score of a picture that shows no place; 0 without one.
+
+    Notes
+    -----
+    With the score s, the rival's score r, and l, the lead over the largest of `rival`, `least` and `impostor`
+    (S is `SOFTENING`, B is `BREADTH_SOFTENING`)::
+
+        gap     = log(1 + l / (levels.gap + S))
+        level   = min(0, log((s + S) / (levels.level + S)))
+        breadth = log(1 + breadth (l / (s - r))^NARROWING / (levels.breadth + B))
+        near    = log((s + S) / (levels.own + S)) + max(0, log((levels.level + S) / (q + S)))
+        own     = own_weight (near - LEAST_OWN), near within LEAST_OWN..MOST_OWN
+        either  = sqrt(breadth^2 + (OWN_AS_BREADTH own)^2)
+
+    where q is the largest of r, `impostor` and `LEAST_RIVAL`.
     """
     lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least, impostor)))
     broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
     near = float(np.log((score + SOFTENING) / ((levels.own or USUAL_OWN) + SOFTENING)))
     # In other light everything scores less than the map's own views do: by how much, the rival tells.
     near += max(float(np.log((levels.level + SOFTENING) / (max(rival, impostor, LEAST_RIVAL) + SOFTENING))), 0.0)
-    own = counts * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN)
+    own = own_weight * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN)
     wide = float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING)))
     return {
         "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
@@ -225,7 +217,7 @@ def features(
 
 
 def tells_apart(rival_inliers: int | None, others: int) -> float:
-    """What evidence for a place counts that a look-alike would have too, 0..1.
+    """Weight of evidence that a look-alike of the place would have too, 0..1.
 
     Parameters
     ----------
@@ -265,8 +257,8 @@ def decide(
     shown : int
         Number of views that are grouped into places, if more than `GROUPED`.
     measured_alike : bool
-        Whether the views of the map were compared with one another by the same stages as the query: what wrong answers
-        get by others says nothing.
+        Whether the views of the map were compared with one another by the same stages as this query. If not, what wrong
+        answers get in the map says nothing of it, and no lead counts.
 
     Notes
     -----
@@ -284,46 +276,56 @@ def decide(
     decided = [group for group in groups if group[0] < GROUPED]
     scores = [float(ranking.scores[group[0]]) for group in decided]
     least = floor(ranking.others, usual)
-    counts = tells_apart(ranking.rival_inliers, ranking.others)
+    own_weight = tells_apart(ranking.rival_inliers, ranking.others)
     undisputed = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
     lowest = least if measured_alike else 1.0
 
-    def probability(of: Mapping[str, float]) -> float:
-        return calibration.probabilities([of])[0]
+    def is_sure(of: Mapping[str, float]) -> bool:
+        return calibration.probabilities([of])[0] >= threshold
 
-    first = first_features(ranking, ranking.rivals, usual, lowest, counts)
+    first = first_features(ranking, ranking.rivals, usual, lowest, own_weight)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
-    places, left = [], 1.0
-    for group, p in zip(decided, calibration.probabilities(read), strict=True):
-        places.append(PlaceProbability(left * p, tuple(group)))
-        left *= 1 - p
-    places += [PlaceProbability(0.0, tuple(group)) for group in groups[len(decided) :]]
+    places = _in_turn(groups, calibration.probabilities(read))
     confidence = places[0].probability
     status = calibration.verdict(confidence, precision)
     if status == "ambiguous" and len(decided) == 1 and rival is None:  # there is nothing that it could be instead
         status = "no_match"
-    # Whether the first place would be matched if there were no other place, and below, if there were no impostors.
-    outrivalled = rival is not None and probability(first_features(ranking, (), usual, least, undisputed)) >= threshold
-    if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
-        # Places that the map itself takes for each other stand out together: it is one of them.
-        together = first_features(ranking, views_unlike(ranking), usual, least, counts)
-        if probability(together) >= threshold:
-            status = "ambiguous"
+    outrivalled = rival is not None and is_sure(first_features(ranking, (), usual, least, undisputed))
+    alike = rival is not None and ranking.places.alike(seqs[0], seqs[rival])
+    if status == "no_match" and outrivalled and alike:
+        # Places that the map itself takes for each other stand out together: it may be one of them.
+        together = first_features(ranking, views_unlike(ranking), usual, least, own_weight)
+        status = "ambiguous" if is_sure(together) else "no_match"
     of_views = replace(ranking, impostors=None)
-    of_no_place = probability(first_features(of_views, ranking.rivals, usual, lowest, counts)) >= threshold
-    reason = _reason(status, outrivalled, of_no_place, searched)
+    of_no_place = is_sure(first_features(of_views, ranking.rivals, usual, lowest, own_weight))
+    reason = reason_for(status, outrivalled=outrivalled, of_no_place=of_no_place, searched=searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
-    return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), confidences(places), first)
+    return Decision(status, confidence, reason, precision, threshold, usual, places, confidences(places), first)
+
+
+def _in_turn(groups: Sequence[Sequence[int]], probabilities: Sequence[float]) -> tuple[PlaceProbability, ...]:
+    """Probabilities of places, best first: each gets its own share of what the places before it leave of 1.
+
+    The first places have a probability of their own; the others get 0.
+    """
+    places, left = [], 1.0
+    for group, p in zip(groups, probabilities, strict=False):
+        places.append(PlaceProbability(left * p, tuple(group)))
+        left *= 1 - p
+    return (*places, *(PlaceProbability(0.0, tuple(group)) for group in groups[len(places) :]))
 
 
 def first_features(
-    ranking: Ranking, others: Sequence[int], levels: MapLevels, least: float, counts: float
+    ranking: Ranking, others: Sequence[int], levels: MapLevels, least: float, own_weight: float
 ) -> dict[str, float]:
-    """Features of the first place against other views, by their indices, best first, and against the impostors."""
+    """Features of the first place against other views and the impostors.
+
+    `others` are the indices of those views in the ranking, best first; the rest is as `features` takes it.
+    """
     score, rival = (float(ranking.scores[some[0]]) if some else 0.0 for some in ((0,), others))
     impostor = 0.0 if ranking.impostors is None else ranking.impostors.score
-    return features(score, rival, levels, ranking.breadth(others), least, counts, impostor)
+    return features(score, rival, levels, ranking.breadth(others), least, own_weight, impostor)
 
 
 def views_unlike(ranking: Ranking) -> list[int]:
@@ -344,10 +346,6 @@ def blame_image(decision: Decision, problem: str | None) -> Decision:
     return replace(decision, reason=Reason("poor-picture", problem, BETTER_PHOTO))
 
 
-BETTER_PHOTO = "take another photo of the place: lit, sharp, and of things that stay"
-NOTHING_SHOWN = Reason("poor-picture", "the image shows nothing", BETTER_PHOTO)
-
-
 def of_nothing(decision: Decision) -> Decision:
     """The decision on an image that shows nothing: none of the places, however like one of their views it is."""
     if not decision.places:
@@ -361,40 +359,3 @@ def confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
     """Of the views of some places, never rising with rank: the probability of each one's place."""
     of_view = {view: place.probability for place in places for view in place.views}
     return tuple(np.minimum.accumulate([of_view[view] for view in sorted(of_view)]).tolist())
-
-
-EMPTY = Reason("empty", "there was no view to compare with", "enrol images, or widen the filters")
-HISTOGRAMS_ALONE = "ranked by histograms alone, by which the map does not know what wrong answers get"
-OF_NO_PLACE = Reason(
-    "weak",
-    "the first place stands out from the others, but hardly from pictures that show no place, such as a wall close by, "
-    "the sky, or a page of text",
-    "take the photo so that more of the place shows",
-)
-SURE = Reason("sure", "one place stands out from all others", "nothing")
-
-
-def _reason(status: Verdict, outrivalled: bool, of_no_place: bool, searched: int) -> Reason:
-    """Why; `outrivalled`: without its rival the first place would be matched; `of_no_place`: without the impostors."""
-    if status == "matched":
-        return SURE
-    if outrivalled:
-        return Reason(
-            "look-alike",
-            "the first place would be sure if another place were not nearly as good",
-            "look at the rival: enrol more views of both places where they differ, take the photo so that this shows, "
-            "or narrow the search with near or place",
-        )
-    if of_no_place:
-        return OF_NO_PLACE
-    if searched < FEW_VIEWS:
-        return Reason(
-            "few-views",
-            f"only {searched} view{'s' * (searched != 1)} could be searched: too few to tell what a wrong place gets",
-            "enrol more views, of this place and of others",
-        )
-    return Reason(
-        "weak",
-        "no place stands out from what wrong places get in this map",
-        "if the place is enrolled, enrol it from here and in this light too",
-    )

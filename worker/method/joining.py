@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 from schemas.comparisons import MapLevels
 from worker.method.calibration import Verdict
-from worker.method.decision import Decision, PlaceProbability, Reason
+from worker.method.decision import Decision, PlaceProbability
+from worker.method.reasons import Reason
 
 NEVER_SURE = 1e-6
 """Probability that every search leaves for none of its places: two cannot both be certain."""

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from worker.method.decision import GROUPED, SOFTENING, Decision, PlaceProbability, Reason, confidences
+from worker.method.decision import GROUPED, SOFTENING, Decision, PlaceProbability, confidences
 from worker.method.drive import Drive, Single, follow, spread
 from worker.method.evidence import Ranking
+from worker.method.reasons import Reason
 from worker.service.agreement import Row
 from worker.service.results import RankedResults
 
@@ -115,9 +116,9 @@ class Drives:
         """Take one more image of a drive into account.
 
         Where the images together are as sure as the precision asks for, the decision is theirs and the views of their
-        place come first. So they do where that place is only likelier than everything else and the image by itself is
-        `matched` to none: `ambiguous`. Otherwise the image's own decision stands. With `consistent` the decision is
-        always the image's own, and `matched` only where enough images in a row agree.
+        place come first. They come first too, but `ambiguous`, where that place is only likelier than everything else
+        and the image by itself is not `matched`. Otherwise the image's own decision stands. With `consistent` the
+        decision is always the image's own, and `matched` only where enough images in a row agree.
 
         Parameters
         ----------
@@ -252,11 +253,11 @@ def _single(results: RankedResults, decision: Decision) -> Single:
 def _by_place(
     ranking: Ranking, count: int, shown: int, probability: Mapping[int, float], least: float = LISTED
 ) -> tuple[PlaceProbability, ...]:
-    """Probabilities of the first `count` views, 0 behind `DRIVEN`, added up by place: a place is that of its likeliest
-    view, and its neighbours' count for it, as they are no rivals of it.
+    """Probabilities of the first `count` views, added up by place, most probable first; views behind `DRIVEN` have 0.
 
-    Left out are places whose views are all below `least`, unless there is no other, and of the rest such views behind
-    the first `shown`.
+    A place is that of its likeliest view. Probabilities of its neighbours count for it too, since they are no rivals of
+    it. Places whose views are all below `least` are left out, unless there is no other. Of the other places, views
+    below `least` are left out if they come behind the first `shown`.
     """
     seqs = [int(seq) for seq in ranking.seqs[:count]]
     each = [float(probability.get(seq, 0.0)) if view < DRIVEN else 0.0 for view, seq in enumerate(seqs)]
