@@ -9,7 +9,8 @@ import pytest
 from schemas.errors import Unavailable
 from schemas.records import Position, ViewAttributes
 from worker.method.cascade import ViewGone
-from worker.service.shadow_answers import ROUNDS, Side, search
+from worker.service.map_answers import ROUNDS
+from worker.service.shadow_answers import Side, search
 from worker.service.shadows import PORTION, ShadowService
 
 
@@ -27,14 +28,13 @@ class GoneIndex:
 def test_an_index_that_is_gone_is_searched_again_and_then_given_up_with_a_reason() -> None:
     index = GoneIndex()
     recipe = SimpleNamespace(description=None, ranking=SimpleNamespace(searched=50))
-    side = cast(
-        Side, SimpleNamespace(recipe=recipe, index=index, fetcher=SimpleNamespace(without_fixed=lambda query: query))
-    )
+    parts = inspect.signature(Side).parameters
+    side = Side(**{name: cast(Any, None) for name in parts} | {"recipe": cast(Any, recipe), "index": cast(Any, index)})
 
     query = cast(Any, SimpleNamespace(vectors={}))
 
     with pytest.raises(Unavailable, match="try again"):
-        search(side, query, np.array([1, 2]), None, cast(Any, None))
+        search(side, query, np.array([1, 2]), None)
 
     assert index.searched == ROUNDS
 

@@ -13,20 +13,16 @@ from schemas.recipe import MapRecipe
 from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
 from schemas.values import spellings
 from worker.description.describers import Describers
-from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
-from worker.method.decision import GROUPED, decide
 from worker.method.own_calibration import Fitted, Indices, Labelled, OwnCalibration, calibrate, consecutive_blocks
 from worker.method.positions import distance, is_known
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue
 from worker.service.comparing import Descriptions
+from worker.service.map_answers import ROUNDS, AnsweringMap
 from worker.service.ports import Comparisons, Listings, Maps, Views
-
-ROUNDS = 5
-"""Attempts at a query with a view; one is repeated when a view that it found is deleted before it ends."""
 
 
 @dataclass(frozen=True)
@@ -256,22 +252,19 @@ class CalibrationService:
             description = self._descriptions.whole(view.seq, now.description)
             if description is None or now.description.id != record.description.id:
                 raise Conflict(f"the view {view.id} was deleted, or its map was described anew, in the meantime")
-            config, fixed = now.ranking, [self._catalogue.camera_fixed(index, now.description)]
+            fixed = [self._catalogue.camera_fixed(index, now.description)]
             fetcher = Fetcher(self._descriptions, self._comparisons, now.description.id, fixed=fixed)
-            count = max(cascade.LISTED, config.searched)
+            levels, impostors = self._comparisons.levels(record.name), self._describers.impostors(now.description)
+            answering = AnsweringMap(
+                now.recipe, index, fetcher, levels, self._shipped(now.recipe), impostors, self._product
+            )
             try:
-                found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
-                shown = fetcher.without_fixed(description)
-                ranking = cascade.rank(
-                    shown, found, now.description, config, fetcher, top=GROUPED, product=self._product,
-                    impostors=self._describers.impostors(now.description),
-                )  # fmt: skip
+                others = Selection(None, np.array(sorted({view.seq, *gone})))
+                ranking, decision = answering.answer(description, others)
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
             except ViewGone as error:
                 gone |= error.seqs
                 continue
-            levels, shipped = self._comparisons.levels(record.name), self._shipped(now.recipe)
-            decision = decide(ranking, levels, shipped, config.precision, searched=found.searched)
             right = any(_shows(known, query, within) for known in first)
             return ObservedAnswer(decision.features, right, right or self._knows(view, query, within), query.block)
         raise Unavailable("the map is being emptied faster than it can be searched; try again", 1)

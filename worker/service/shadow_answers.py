@@ -6,54 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.comparisons import KnownView, MapLevels
+from schemas.comparisons import KnownView
 from schemas.description import Description
 from schemas.errors import Unavailable
-from schemas.recipe import MapRecipe
 from schemas.records import Filters, Selection, Sequence64, ViewRecord
 from schemas.shadow import ShadowAnswer
 from worker.description.describer import Describer
 from worker.description.scheduler import Timed
-from worker.method import cascade
-from worker.method.byte_vectors import Product
-from worker.method.calibration import Calibration, Verdict
+from worker.method.calibration import Verdict
 from worker.method.cascade import ViewGone
-from worker.method.decision import GROUPED, decide
-from worker.method.impostors import Impostors
 from worker.method.places import Places
 from worker.method.positions import distance, is_known
-from worker.search.fetcher import Fetcher
-from worker.search.ports import SearchableIndex
-
-ROUNDS = 5
-"""Attempts at a query; one is repeated when a view that it found is deleted before it ends."""
+from worker.service.map_answers import ROUNDS, AnsweringMap
 
 
 @dataclass(frozen=True)
-class Side:
-    """One of the two recipes, and all that its answers take.
+class Side(AnsweringMap):
+    """One of the two recipes; `describer` is None where it is of another encoder than the running one."""
 
-    Parameters
-    ----------
-    recipe : MapRecipe
-    index : SearchableIndex
-        Of the map's views by it.
-    fetcher : Fetcher
-    levels : MapLevels
-        What wrong answers get by it.
-    calibration : Calibration
-    describer : Describer or None
-        None where the recipe is of another encoder than the running one.
-    impostors : Impostors or None
-    """
-
-    recipe: MapRecipe
-    index: SearchableIndex
-    fetcher: Fetcher
-    levels: MapLevels
-    calibration: Calibration
     describer: Describer | None
-    impostors: Impostors | None
 
 
 @dataclass(frozen=True)
@@ -67,7 +38,7 @@ class Outcome:
     search_ms: float
 
 
-def search(side: Side, description: Description, among: Sequence64, own: int | None, product: Product) -> Outcome:
+def search(side: Side, description: Description, among: Sequence64, own: int | None) -> Outcome:
     """Query a map by one recipe.
 
     Parameters
@@ -79,28 +50,20 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
         Views that are searched, by sequence number, ascending.
     own : int or None
         The view that queries, which is left out.
-    product : Product
 
     Raises
     ------
     Unavailable
         Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
     """
-    began, recipe, config = time.perf_counter(), side.recipe.description, side.recipe.ranking
-    query = side.fetcher.without_fixed(description)
+    began = time.perf_counter()
     gone: set[int] = set() if own is None else {own}
     for _ in range(ROUNDS):
-        selection = Selection(among, np.array(sorted(gone), np.int64))
         try:
-            found = side.index.search(description.vectors, max(cascade.LISTED, config.searched), selection)
-            ranking = cascade.rank(
-                query, found, recipe, config, side.fetcher, top=GROUPED, product=product,
-                impostors=side.impostors,
-            )  # fmt: skip
+            ranking, decision = side.answer(description, Selection(among, np.array(sorted(gone), np.int64)))
         except ViewGone as error:
             gone |= error.seqs
             continue
-        decision = decide(ranking, side.levels, side.calibration, config.precision, searched=found.searched)
         any_found = len(ranking.seqs) > 0
         return Outcome(
             decision.status,

@@ -216,8 +216,8 @@ class ShadowService:
         new_levels = self._comparisons.levels(name, by.id)
         old, new = (
             Side(
-                which, of, self._fetcher(of, which.description), levels, calibration, self._describer_of(which),
-                self._describers.impostors(which.description),
+                which, of, self._fetcher(of, which.description), levels, calibration,
+                self._describers.impostors(which.description), self._product, self._describer_of(which),
             )
             for which, of, levels, calibration in (
                 (record.recipe, index, old_levels, self._calibration(record)),
@@ -305,7 +305,7 @@ class ShadowService:
             return None
         described = [self._describe(image, side.describer) for side in (old, new)]
         found = [
-            None if one is None else search(side, one.value, among, None, self._product)
+            None if one is None else search(side, one.value, among, None)
             for side, one in zip((old, new), described, strict=True)
         ]
         return self._row(query.id, None, query.queried_at, old, found, described)
@@ -327,9 +327,7 @@ class ShadowService:
             self._maps.get(name)
             return None
         found = [
-            search(side, one, among, seq, self._product)
-            for side, one in zip((old, new), described, strict=True)
-            if one is not None
+            search(side, one, among, seq) for side, one in zip((old, new), described, strict=True) if one is not None
         ]
         return self._row(view.id, view, view.enrolled_at, old, found, [None, None])
 
