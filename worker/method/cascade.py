@@ -253,10 +253,10 @@ def compare_full(
 
 
 def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
-    """Stage 4: geometric verification of the best so far, and of as many others as if the first place had one view.
+    """Stage 4: geometric verification of the best so far, and of the best if the first place had one view only.
 
-    The median that inliers are measured by counts that place once: its further views neither raise it nor push out the
-    views of others that it is of.
+    Inliers are measured by the median of the latter. So further views of the first place neither raise that median nor
+    push views of other places out of it.
     """
     count = evidence.config.verified_top_k
     if query.keypoints is None or count == 0:

@@ -29,9 +29,10 @@ class Fix:
     position : Position
         Without heading. Its height is that of the views that have one, where these are most of the weight.
     radius_m : float or None
-        Weighted root mean square horizontal distance of the agreeing views from `position`; at least the distance from
-        the best one to the nearest other position, by as many points as share the weight: one view says no more of
-        where the query is than how densely the place is mapped. None when there is no other position.
+        Weighted root mean square horizontal distance of the agreeing views from `position`. It is no less than the
+        distance from the best view to the nearest other position, divided by the number of points that share the
+        weight: where one view agrees, the query is known no better than the place is densely mapped. None when there
+        is no other position.
     agreeing : tuple of int
         Indices of the matches within `AGREE_M` of the best one, the best included.
     """
@@ -80,7 +81,10 @@ def locate(positions: Sequence[Position], weights: Sequence[float], around: Sequ
 
 
 def _sharing(points: npt.NDArray[np.float64], share: npt.NDArray[np.float64]) -> float:
-    """By how many points the weight is shared, 1 .. their number: the inverse of its sum of squares (Kish, 1965)."""
+    """Effective number of points that share the weight: the inverse of the sum of squared weights (Kish, 1965).
+
+    1 where one point has all of it, and the number of points where all have the same.
+    """
     together = np.linalg.norm(points[:, None] - points, axis=2) <= SAME_POINT_M
     return float(1 / (share @ together @ share))
 

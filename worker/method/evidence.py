@@ -127,8 +127,9 @@ class Ranking:
     places : Places
         Of those that were re-ranked and of `first`; of all, when none was re-ranked.
     others : int
-        Number of other places than the first one's, counted up to `worker.method.places.ENOUGH_PLACES`: of the views
-        that were re-ranked, where these show all there is or fewer than `RIVALS` of them are of other places.
+        Number of other places than the first one's, as far as it matters: `worker.method.places.ENOUGH_PLACES` where
+        `ENOUGH_VIEWS` of the searched views may show others and `RIVALS` of the re-ranked ones do, else the number
+        among the re-ranked views.
     rivals : tuple of int
         Indices of the re-ranked views that show another place than the first, best first. Its neighbours count as other
         places where fewer than `ENOUGH_VIEWS` views show others.
@@ -177,9 +178,9 @@ class Ranking:
     def breadth(self, others: Sequence[int], first: int = 0) -> float:
         """Over how much of the query a place leads over views of others: `worker.method.breadth.breadth`.
 
-        The largest over the views of the place that were compared at full resolution, so that more of them never lower
-        it, of the least over the others and the impostors, so that more of those never raise it; 0 where the best of
-        the others was not compared.
+        For each view of the place that was compared at full resolution the least lead over the others and the
+        impostors counts, and of these the largest. So more views of the place never lower it, and more others never
+        raise it. It is 0 where the best of the others was not compared.
 
         Parameters
         ----------
@@ -269,8 +270,8 @@ class Evidence:
     def best(self, count: int) -> Rows:
         """At most `count` of the re-ranked candidates, best first by the evidence so far.
 
-        Up to `RIVALS` of another place than the first are among them: where there are fewer, they replace the last
-        views of its own place and neighbourhood.
+        `RIVALS` of them show another place than the first, as far as there are so many: where the first `count` have
+        fewer, further ones replace the last views of the first one's own place and neighbourhood.
         """
         order = self.in_order()
         if len(order) <= count:
@@ -289,7 +290,10 @@ class Evidence:
         return score_fusion.order(score, self.distance, self.rows)[: len(self.rows)]
 
     def counted_once(self, rows: Rows, *leaders: int) -> Rows:
-        """Some re-ranked candidates, in their order, less all but the first of the places of `leaders` among them."""
+        """Some re-ranked candidates, in their order, with no more than one view of the place of each leader.
+
+        `leaders` are rows too; of those that share a place with one of them the first in `rows` stays.
+        """
         for leader in leaders:
             if leader in rows:  # else its place is counted once already
                 [of_leader] = self.seqs(np.array([leader], np.intp))

@@ -67,9 +67,17 @@ class Impostors:
     def near(
         self, vectors: Mapping[str, Floats], coarse: Int8s, product: Product, usual: Mapping[str, float]
     ) -> Candidates:
-        """The `LOOKED` pictures most like a query by its cells at half size.
+        """The `LOOKED` pictures most like a query by their cells.
 
-        Where they have no histograms, these are taken to be as far from the query's `vectors` as is `usual`.
+        Parameters
+        ----------
+        vectors : mapping of channel to float32 of shape (dimensions,)
+            Histogram vectors of the query.
+        coarse : int8 of shape (rows, columns, dimensions)
+            Its dense cells at half size.
+        product : Product
+        usual : mapping of channel to float
+            Distance from the query that the pictures are taken to have where they have no histograms.
         """
         rough = rough_similarity(coarse, list(self.coarse), product)
         seqs = np.sort(np.argsort(-rough, kind="stable")[:LOOKED]).astype(np.int64)

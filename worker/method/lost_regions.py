@@ -1,6 +1,7 @@
 """Lost cells of a photo that lie together: regions, and how sure each is a thing that changed.
 
-Where floor was covered there is floor beside it, so that covered floor is not lost.
+A cell is also looked for around its expected position, so that floor which something covers now is not lost: there is
+floor beside it.
 """
 
 from dataclasses import dataclass, field

@@ -41,10 +41,10 @@ class Places:
     -----
     Two views are of one place when they have the same name, or lie at most `same_place_m` apart, or the map's own
     comparison says so and the user does not tell them apart: equal doors on two floors look like one spot. Views on
-    two storeys are never of one place, although these may be lower than a place is wide, and where one is above the
-    other they are no neighbours. Nor are views of different maps that are searched together. This is no
-    equivalence: along a path each view shares a place with the next. A place is therefore always that of one view, the
-    best.
+    two storeys are never of one place, even where a storey is lower than a place is wide; where one is above the other
+    they are no neighbours either. The same holds for views of different maps that are searched together. Being of one
+    place is no equivalence: along a path each view shares a place with the next. A place is therefore always that of
+    one view, the best.
     """
 
     def __init__(self, known: Mapping[int, KnownView], same_place_m: float) -> None:

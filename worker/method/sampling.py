@@ -29,6 +29,7 @@ def draw(static: Booleans, count: int | None, random: np.random.Generator) -> In
     static : bool of shape (rows, columns)
     count : int or None
         K; all static cells are drawn when there are no more than `count`, or with None.
+    random : numpy.random.Generator
 
     Returns
     -------

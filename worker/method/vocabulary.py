@@ -245,6 +245,7 @@ def fit_cells(cells: Floats, dimensions: int) -> Floats:
     Parameters
     ----------
     cells : float32 of shape (n, channels)
+    dimensions : int
 
     Returns
     -------
