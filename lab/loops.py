@@ -1,9 +1,9 @@
 """Measure loop closures: a walk, and its second time, through a service of its own by the client that users have.
 
 ``python -m lab.loops pairs --root DIR``. The database of a set is the first time round, its queries are the second.
-Odometry drifts by 2 % of the way. The service compares the
-views of the map in the background meanwhile, and how far it has come when a question arrives is a matter of time: each
-walk is repeated, and the table has the median with the least and the most.
+Odometry drifts by 2 % of the way. Meanwhile the service compares the views of the map in the background, and how far it
+has come when a query arrives is a matter of time: each walk is repeated, and the table has the median, with the least
+and the most in brackets.
 """
 
 import argparse
@@ -24,14 +24,19 @@ from schemas.errors import RevisitError
 from worker.service.agreement import Row
 
 CONSISTENT = (1, 2, 3)
+"""How many keyframes in a row have to agree, in the columns of the table."""
+
 STEP_M = 2.0
-"""Between two images, where a set has no positions."""
+"""Metres between two images, where a set has no positions."""
 
 DRIFT = 0.02
-EXCLUDED = 20
+"""By how much odometry is off, as a share of the way."""
 
+EXCLUDED = 20
+"""Newest views that a keyframe is not compared with: it was there just before."""
 
 Candidates = list[Loop | None]
+"""For each keyframe of a walk the loop that it was recognised to close, or None."""
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ class Building:
         pixels : uint8 of shape (height, width, 3)
             RGB.
         labels : uint8 of shape (height, width)
-            Index into `scenes.LABELS` for each pixel.
+            Index into `scenes.words.LABELS` for each pixel.
         """
         if not (1 <= floor <= self.unknown_floor and 1 <= spot <= self.spots):
             raise ValueError(

@@ -15,7 +15,7 @@ from scenes.scene import Scene, digest, draw, place_of
 Furniture = Literal["cupboard", "chair", "table", "plant", "bin", "board"]
 FURNITURE: tuple[Furniture, ...] = ("cupboard", "chair", "table", "plant", "bin", "board")
 FIRST_MARK = 100
-"""Label of the first piece: each has one of its own, beyond those of `scenes.LABELS`."""
+"""Label of the first piece: each has one of its own, beyond those of `scenes.words.LABELS`."""
 
 PAINTS = ((172, 60, 44), (222, 178, 52), (58, 96, 150), (152, 112, 74), (228, 226, 220), (58, 120, 82), (70, 72, 78))
 

@@ -106,7 +106,7 @@ class Scene:
         pixels : uint8 of shape (height, width, 3)
             RGB.
         labels : uint8 of shape (height, width)
-            Index into `scenes.LABELS` for each pixel.
+            Index into `scenes.words.LABELS` for each pixel.
         """
         varied = replace(
             self,
@@ -152,7 +152,7 @@ def draw(
     pixels : uint8 of shape (height, width, 3)
         RGB.
     labels : uint8 of shape (height, width)
-        Index into `scenes.LABELS` for each pixel.
+        Index into `scenes.words.LABELS` for each pixel.
     """
     fine = (size[0] * FINER, size[1] * FINER)
     camera = Camera.at(viewpoint, fine)

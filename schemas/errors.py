@@ -243,6 +243,7 @@ class Busy(RevisitError):
 
     Parameters
     ----------
+    detail : str
     retry_after_s : int
         Estimated seconds until the queue is empty: its length times the measured time per image.
     """

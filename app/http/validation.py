@@ -68,6 +68,8 @@ def read(model: type[M], pairs: Iterable[tuple[str, str]], already: Sequence[Par
 
     Parameters
     ----------
+    model : type of Parameters
+    pairs : iterable of (str, str)
     already : sequence of ParameterError
         Mistakes found while the request was parsed; they are reported with the others.
 

@@ -1,4 +1,4 @@
-"""Attributes of images from what is known besides the manifest: their EXIF, and the direction of a panorama's view."""
+"""Attributes of images, completed by their EXIF and by the direction in which a view of a panorama looks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,20 +13,20 @@ PLACE = ("lat", "lon", "alt", "heading")
 
 
 def wanted_of_exif(items: Sequence[Item]) -> frozenset[str]:
-    """What EXIF may say of them: beside positions in metres no degrees."""
+    """Names of what is taken from the EXIF of some items: no degrees where any of them has a position in metres."""
     metric = any(item.attributes.position.x is not None for item in items)
     return frozenset({"captured_at"} if metric else {"captured_at", *PLACE})
 
 
 def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttributes:
-    """Attributes with what is known besides: a position where none was given, and the time.
+    """Attributes with the position and the time of an image's EXIF, where they have none of their own.
 
     Parameters
     ----------
     attributes : ViewAttributes
-        Of a manifest, which wins.
-    known : mapping of our names to values
-        Of the image's EXIF.
+        As they were given.
+    known : mapping of str to value
+        What the EXIF says, by the names of attributes: those in `PLACE`, and ``captured_at``.
     """
     place = {name: known[name] for name in PLACE if name in known}
     given = attributes.position
@@ -37,7 +37,7 @@ def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttri
 
 
 def turned(attributes: ViewAttributes, degrees: float) -> ViewAttributes:
-    """Attributes of a camera that is turned clockwise; a heading that is not known stays so."""
+    """Attributes of a view that looks so many degrees further clockwise; a heading that is not known stays so."""
     heading = attributes.position.heading
     if heading is None or not degrees:
         return attributes

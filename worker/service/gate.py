@@ -1,4 +1,4 @@
-"""The quality gate: what is wrong with an image that only its description tells."""
+"""The quality gate: refuses an image for what only its description tells."""
 
 from schemas.description import Description
 from schemas.records import Claim

@@ -10,8 +10,8 @@ MOSTLY_MOVES = 0.2
 def problem_of(label_shares: Floats, static_share: float, recipe: DescriptionRecipe) -> str | None:
     """What is wrong with an image that shows mostly things that move, in words; None for others.
 
-    A recipe may leave out no more than some share of the cells, whatever they show: what the image shows is told by its
-    labels.
+    The static share alone does not tell: a recipe may limit how many cells are left out, whatever they show. So the
+    labels of all cells count too.
 
     Parameters
     ----------

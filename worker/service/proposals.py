@@ -71,8 +71,11 @@ class ProposalService:
 
         Parameters
         ----------
+        name : str
+            Of the map.
+        proposal_id : str
         most : int
-            Images that become views, spread evenly over time.
+            Images that become views at most, spread evenly over time.
         unconfirmed : bool
             Whether queries that no other one agrees with may be taken.
 

@@ -13,19 +13,20 @@ SLACK = 1e-6
 
 
 def thin(recording: Recording, options: ImportOptions) -> list[int]:
-    """Leave out items that are less than a step after the one before, and note those of which that cannot be told.
+    """Leave out items that are less than a step after the last one that stays.
 
-    What was noted of items that are left out, that they are enrolled without position, is so no more.
+    Items without the time or the position that steps are measured by are left out and noted. Notes that an item is
+    enrolled without a position go where that item is left out.
 
     Returns
     -------
     list of int
-        Where the items that are left stood, ascending.
+        Indices of the items that stay, among all that there were, ascending.
 
     Raises
     ------
     InvalidParameters
-        It can be told of none.
+        No item has such a time or position.
     """
     kept, notes = list(range(len(recording.items))), list[Note]()
     if options.every_s is not None:
