@@ -156,7 +156,7 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     assert found.zooms.tolist() == [1.25, 1.0]
     assert found.scales[0] == pytest.approx(1.25, abs=0.03)
     assert found.scales[1] == 1
-    unqueried = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0, measured=False)
+    unqueried = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0, estimate_scales=False)
     assert unqueried.scales.tolist() == [1, 1]
     assert unqueried.scores.tolist() == found.scores.tolist()
 

@@ -200,7 +200,7 @@ def compare_coarse(
     if ours.coarse.size:
         coarse = np.stack([a.coarse for a in evidence.appearances])
         aspect = hough.cell_aspects(ours.extent, [a.extent for a in evidence.appearances])
-        agreement = dense_cells.compare(ours.coarse, coarse, product, cell_aspect=aspect, measured=False)
+        agreement = dense_cells.compare(ours.coarse, coarse, product, cell_aspect=aspect, estimate_scales=False)
         scores = agreement.scores
         if config.detail_only(recipe):
             channels = recipe.parameters.cell_channels()

@@ -85,7 +85,7 @@ def single_channel_agreement(
     """
     ours, theirs = (slice_channel(cells, channels, channel) for cells in (query, candidates))
     return dense_cells.compare(
-        ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False, burstiness=burstiness
+        ours, theirs, product, length(ours), cell_aspect=cell_aspect, estimate_scales=False, burstiness=burstiness
     )
 
 

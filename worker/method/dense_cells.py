@@ -217,7 +217,7 @@ def compare(
     length: float = 1.0,
     *,
     cell_aspect: Doubles | None = None,
-    measured: bool = True,
+    estimate_scales: bool = True,
     burstiness: Floats | None = None,
 ) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
@@ -232,8 +232,8 @@ def compare(
     cell_aspect : float64 of shape (candidates, 2), optional
         Height and width of the candidates' cells relative to the query's (`worker.method.hough.cell_aspects`); without
         it, all 1.
-    measured : bool
-        Whether to estimate scales; if not, they are all 1.
+    estimate_scales : bool
+        If not, scales are all 1.
     burstiness : float32 of shape (rows * columns,), optional
         `burstiness_weight` of the query, where that is known.
 
@@ -246,7 +246,9 @@ def compare(
     if burstiness is None:
         burstiness = burstiness_weight(query, product=product, length=length)
     shape = query.shape[0], query.shape[1]
-    return agreement(pairs, burstiness, shape, len(candidates), cell_aspect=cell_aspect, measured=measured)
+    return agreement(
+        pairs, burstiness, shape, len(candidates), cell_aspect=cell_aspect, estimate_scales=estimate_scales
+    )
 
 
 def scale_penalty(scales: Floats, exponent: float) -> Floats:

@@ -110,7 +110,7 @@ def agreement(
     tolerance: int = TOLERANCE,
     *,
     cell_aspect: Doubles | None = None,
-    measured: bool = True,
+    estimate_scales: bool = True,
 ) -> Agreement:
     """The largest weight of correspondences that agree on one displacement (a Hough transform).
 
@@ -129,8 +129,8 @@ def agreement(
         In cells, at least 0.
     cell_aspect : float64 of shape (candidates, 2), optional
         Height and width of each candidate's cells relative to the query's, see `cell_aspects`; without it, all 1.
-    measured : bool
-        Whether to estimate scales; if not, they are all 1.
+    estimate_scales : bool
+        If not, scales are all 1.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def agreement(
         for here, there in zip(ours, theirs, strict=True)
     ]
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None]
-    scale = _scale(candidate, ours, theirs, weight, candidates) if measured else np.ones(candidates)
+    scale = _scale(candidate, ours, theirs, weight, candidates) if estimate_scales else np.ones(candidates)
     largest, cells = largest_weight(burstiness), shape[0] * shape[1]
     agreeing = np.bincount(candidate * cells + pairs.query_cell[won.pairs], weight, candidates * cells)
     return Agreement(
