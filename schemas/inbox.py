@@ -4,7 +4,36 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
-from schemas.description import Floats, LocalFeatures
+from schemas.description import Description, Floats, LocalFeatures
+from schemas.recipe import DescriptionRecipe
+
+
+@dataclass(frozen=True, eq=False)
+class QueryToKeep:
+    """A query that its map may keep.
+
+    Parameters
+    ----------
+    id : str
+    recipe : DescriptionRecipe
+        By which it was described.
+    description : Description
+    image : bytes
+        Small, a JPEG.
+    queried_at : datetime
+    match : (int, float) or None
+        The view that it matched, by its sequence number, and the score, 0..1; None: it matched nothing.
+    blurred : tuple of str
+        What was covered in the image, and is not in the description either.
+    """
+
+    id: str
+    recipe: DescriptionRecipe
+    description: Description
+    image: bytes
+    queried_at: datetime
+    match: tuple[int, float] | None = None
+    blurred: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from typing import Any
 
 from schemas.ageing import DayScore
 from schemas.errors import DiskFull, NotFound, StorageFailed
+from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from schemas.records import Filters, Replay, ViewAttributes
 from tests.failing_writes import FailingWrites
@@ -53,7 +54,7 @@ def prepared(folder: Path) -> None:
 
 def keep_query(store: SqlStore, name: str) -> None:
     """Keep a query that matched nothing."""
-    store.kept_queries.keep("campus", name, RECIPE.description, description(1), image(name), NOW)
+    store.kept_queries.keep("campus", QueryToKeep(name, RECIPE.description, description(1), image(name), NOW))
 
 
 def keep_scores(store: SqlStore, *days: int) -> None:

@@ -7,6 +7,7 @@ import sqlalchemy as sa
 
 from schemas.blur import BLUR_WORDS
 from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
+from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from schemas.records import Covered, Submitted, ViewAttributes
 from tests.storage.carried import made, views
@@ -136,11 +137,11 @@ def test_kept_queries_of_before_go_and_later_ones_are_blurred_or_not_kept(store:
     store.maps.put("campus", RECIPE, NOW)
     store.maps.change("campus", MapChanges(keep_queries=9))
     keep = store.kept_queries.keep
-    keep("campus", "a", RECIPE.description, description(1), image("a"), NOW)
+    keep("campus", QueryToKeep("a", RECIPE.description, description(1), image("a"), NOW))
     store.maps.change("campus", MapChanges(blur=PEOPLE))
     assert store.kept_queries.newest("campus", 9) == ([], 0)
-    keep("campus", "b", RECIPE.description, description(1), image("b"), NOW)
-    keep("campus", "c", RECIPE.description, description(1), image("c"), NOW, None, PEOPLE)
+    keep("campus", QueryToKeep("b", RECIPE.description, description(1), image("b"), NOW))
+    keep("campus", QueryToKeep("c", RECIPE.description, description(1), image("c"), NOW, None, PEOPLE))
     assert [query.id for query in store.kept_queries.newest("campus", 9)[0]] == ["c"]
 
 

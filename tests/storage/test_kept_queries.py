@@ -7,6 +7,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import NotFound
+from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from tests.storage.material import NOW, RECIPE, description, enroll
 from worker.storage.database import Database
@@ -17,8 +18,8 @@ from worker.storage.tables import KEPT_QUERIES
 
 def keep(store: SqlStore, *ids: str, map: str = "campus") -> None:
     for i, query_id in enumerate(ids):
-        made = description(sum(query_id.encode()))
-        store.kept_queries.keep(map, query_id, RECIPE.description, made, query_id.encode(), NOW + timedelta(seconds=i))
+        made, at = description(sum(query_id.encode())), NOW + timedelta(seconds=i)
+        store.kept_queries.keep(map, QueryToKeep(query_id, RECIPE.description, made, query_id.encode(), at))
 
 
 def kept(store: SqlStore, most: int = 100, map: str = "campus") -> list[str]:
@@ -148,7 +149,7 @@ def test_queries_that_matched_a_view_are_kept_apart_and_go_with_it(store: SqlSto
 
 def match(store: SqlStore, query_id: str, seq: int, score: float = 0.5) -> None:
     made = description(sum(query_id.encode()))
-    store.kept_queries.keep("campus", query_id, RECIPE.description, made, b"image", NOW, (seq, score))
+    store.kept_queries.keep("campus", QueryToKeep(query_id, RECIPE.description, made, b"image", NOW, (seq, score)))
 
 
 def matched(store: SqlStore) -> list[tuple[str, int | None, float | None]]:

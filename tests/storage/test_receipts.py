@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from app.http.examples import VIEW
+from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from schemas.records import Filters, Position, Replay, ViewAttributes
 from schemas.removal import Holding
@@ -49,7 +50,7 @@ def test_what_is_gone_from_where(campus: SqlStore) -> None:
     seq = views(campus)[0].seq
     by = campus.maps.get("campus").description
     for name in ("a", "b"):
-        campus.kept_queries.keep("campus", name, by, description(1), image(name), NOW, (seq, 0.5))
+        campus.kept_queries.keep("campus", QueryToKeep(name, by, description(1), image(name), NOW, (seq, 0.5)))
     enroll(campus, "pending", attributes=ViewAttributes("east"))
 
     receipt = campus.removals.delete_views("campus", Filters(place="east"))
@@ -244,7 +245,7 @@ def test_one_that_is_being_made_is_named_until_it_is_there(campus: SqlStore) -> 
 
 def test_the_receipt_of_a_map_counts_what_it_had(campus: SqlStore) -> None:
     campus.maps.change("campus", MapChanges(keep_queries=5))
-    campus.kept_queries.keep("campus", "q", RECIPE.description, description(1), image("q"), NOW)
+    campus.kept_queries.keep("campus", QueryToKeep("q", RECIPE.description, description(1), image("q"), NOW))
     made(campus)
     receipt = campus.removals.delete_map("campus")
     assert (receipt.views, receipt.descriptions, receipt.searched, receipt.queries) == (3, 3, 3, 1)

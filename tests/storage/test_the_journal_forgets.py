@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from schemas.records import Filters, ViewAttributes
 from tests.storage.carried import views
@@ -28,7 +29,7 @@ def store(data: Path) -> Iterator[SqlStore]:
         store.maps.change("campus", MapChanges(keep_queries=5))
         enroll(store, "gate", attributes=ViewAttributes(GARDEN))
         describe_all(store)
-        store.kept_queries.keep("campus", "query", RECIPE.description, description(1), PHOTO, NOW)
+        store.kept_queries.keep("campus", QueryToKeep("query", RECIPE.description, description(1), PHOTO, NOW))
         yield store
 
 
@@ -69,7 +70,7 @@ def test_nor_queries_that_are_kept_no_longer(store: SqlStore, data: Path, change
 
 def test_a_query_that_made_room_for_others_goes_a_moment_later(store: SqlStore, data: Path) -> None:
     for number in range(5):
-        store.kept_queries.keep("campus", str(number), RECIPE.description, description(1), b"another", NOW)
+        store.kept_queries.keep("campus", QueryToKeep(str(number), RECIPE.description, description(1), b"another", NOW))
     store.tend()
     assert stands(data, PHOTO) == []
 

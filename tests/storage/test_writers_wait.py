@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import StorageFailed
+from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from tests.storage.conftest import Open
 from tests.storage.databases import postgres_schema
@@ -42,7 +43,7 @@ def test_a_query_that_is_to_be_kept_waits_a_second_for_others_and_enrolments_as_
     store.maps.change("campus", MapChanges(keep_queries=5))
 
     def keep() -> None:
-        store.kept_queries.keep("campus", "q", RECIPE.description, description(1), b"image", NOW)
+        store.kept_queries.keep("campus", QueryToKeep("q", RECIPE.description, description(1), b"image", NOW))
 
     others = Database(database_url)
     with others.writing():

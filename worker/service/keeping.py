@@ -1,12 +1,11 @@
 """Queries that are kept, blurred where their map says so."""
 
 from collections.abc import Callable
-from datetime import datetime
+from dataclasses import replace
 from typing import Protocol
 
-from schemas.description import Description
 from schemas.image import Image
-from schemas.recipe import DescriptionRecipe
+from schemas.inbox import QueryToKeep
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler
 from worker.service.blurring import Blurring, BlurSettings
@@ -15,18 +14,8 @@ from worker.service.blurring import Blurring, BlurSettings
 class KeepsQueries(Protocol):
     """The part of the store that keeps queries."""
 
-    def keep(
-        self,
-        name: str,
-        query_id: str,
-        recipe: DescriptionRecipe,
-        description: Description,
-        image: bytes,
-        now: datetime,
-        match: tuple[int, float] | None = None,
-        blurred: tuple[str, ...] = (),
-    ) -> None:
-        """Keep a query, unless its map blurs other things than `blurred`."""
+    def keep(self, name: str, query: QueryToKeep) -> None:
+        """Keep a query of a map, unless the map blurs other things than are blurred in it."""
         ...
 
 
@@ -56,17 +45,8 @@ class QueryKeeper:
         self._kept, self._maps, self._blurring = kept, maps, blurring
         self._scheduler, self._describers, self._decode = scheduler, describers, decode
 
-    def keep(
-        self,
-        name: str,
-        query_id: str,
-        recipe: DescriptionRecipe,
-        description: Description,
-        image: bytes,
-        now: datetime,
-        match: tuple[int, float] | None = None,
-    ) -> None:
-        """Keep a query; `image` is a small JPEG.
+    def keep(self, name: str, query: QueryToKeep) -> None:
+        """Keep a query of a map, in which nothing is blurred yet.
 
         Raises
         ------
@@ -77,8 +57,8 @@ class QueryKeeper:
         """
         words = self._maps.blur(name)
         if words:
-            blurred = self._blurring.cover(self._decode(image), words, urgent=True)
+            blurred = self._blurring.cover(self._decode(query.image), words, urgent=True)
             # Keypoints of people are features of people: they do not stay either.
-            described = self._describers.of(recipe).submit(self._scheduler, blurred.image, urgent=True)
-            image, description = blurred.data, described.result().value
-        self._kept.keep(name, query_id, recipe, description, image, now, match, words)
+            described = self._describers.of(query.recipe).submit(self._scheduler, blurred.image, urgent=True)
+            query = replace(query, image=blurred.data, description=described.result().value, blurred=words)
+        self._kept.keep(name, query)

@@ -12,6 +12,7 @@ from uuid6 import uuid7
 from schemas.description import Description
 from schemas.errors import InvalidParameters, NotFound, RevisitError
 from schemas.image import Image
+from schemas.inbox import QueryToKeep
 from schemas.records import Filters
 from worker.description.describer import components
 from worker.description.scheduler import Timed
@@ -271,13 +272,14 @@ class QueryService:
         data: bytes,
         match: tuple[int, float] | None,
     ) -> None:
-        """Keep a query in maps, in each as it is described for it; `match` as `worker.service.keeping` has it."""
+        """Keep a query in maps, in each as it is described for it; `match` as `QueryToKeep` has it."""
         try:
             small = self._thumbnail(data, KEPT_SIZE) if maps else b""
             for number, (name, of) in enumerate(maps):
                 kept_id = str(uuid7()) if number else query_id
                 recipe = of.results.recipe.description
-                self._kept.keep(name, kept_id, recipe, of.description, small, datetime.now(UTC), match)
+                query = QueryToKeep(kept_id, recipe, of.description, small, datetime.now(UTC), match)
+                self._kept.keep(name, query)
         except RevisitError as error:
             log.error("the query %s is not kept: %s", query_id, error.detail)
 

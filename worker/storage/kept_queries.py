@@ -1,15 +1,12 @@
 """Queries that matched nothing, or a view that they look unlike, kept with a small image where the map says so."""
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.description import Description
 from schemas.errors import NotFound
-from schemas.inbox import KeptQuery
-from schemas.recipe import DescriptionRecipe
+from schemas.inbox import KeptQuery, QueryToKeep
 from worker.storage import checksums
 from worker.storage.packing import pack_keypoints, pack_vectors, unpack_floats, unpack_keypoints
 from worker.storage.part import Part
@@ -58,43 +55,33 @@ def _of_kind(matched: bool | None) -> sa.ColumnElement[bool]:
 class KeptQueries(Part):
     """Kept queries of maps. They belong to their map, and to the view that they matched, and are deleted with it."""
 
-    def keep(
-        self,
-        name: str,
-        query_id: str,
-        recipe: DescriptionRecipe,
-        description: Description,
-        image: bytes,
-        now: datetime,
-        match: tuple[int, float] | None = None,
-        blurred: tuple[str, ...] = (),
-    ) -> None:
-        """Keep a query, and drop the oldest of its kind beyond what the map keeps.
+    def keep(self, name: str, query: QueryToKeep) -> None:
+        """Keep a query of a map, and drop the oldest of its kind beyond what the map keeps.
 
-        `match`: the view that it matched, by its sequence number, and the score. Nothing is kept where the map keeps
-        none of this kind or blurs other things than `blurred`, or where the map or the view was deleted.
+        Nothing is kept where the map keeps none of this kind or blurs other things than are blurred in the query, or
+        where the map or the view that it matched was deleted.
 
         Raises
         ------
         DiskFull, StorageFailed
             It cannot be stored now, or others have been writing for `PATIENCE_S`.
         """
-        features, seq = description.keypoints, None if match is None else match[0]
+        features, seq = query.description.keypoints, None if query.match is None else query.match[0]
         values = {
-            "id": query_id,
-            "recipe": recipe.id,
-            "queried_at": now,
-            "vectors": pack_vectors(description, recipe),
+            "id": query.id,
+            "recipe": query.recipe.id,
+            "queried_at": query.queried_at,
+            "vectors": pack_vectors(query.description, query.recipe),
             "keypoints": None if features is None else pack_keypoints(features),
-            "image": image,
+            "image": query.image,
             "seq": seq,
-            "score": None if match is None else float(match[1]),
+            "score": None if query.match is None else float(query.match[1]),
         }
         with self._database.writing(patience_s=PATIENCE_S) as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
             if row is None or not (most := row.keep_queries if seq is None else row.keep_matches):
                 return
-            if blur_of(row) != blurred:
+            if blur_of(row) != query.blurred:
                 return
             if seq is not None and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.seq == seq)) is None:
                 return
