@@ -245,7 +245,7 @@ def build(
         if settings.inline_worker or not serving:
             importer = Importer(
                 uploads=store.uploads, jobs=store.jobs, removals=store.removals, enrolment=enrolment,
-                settlements=settlements, decode=decoder.decode_patiently, taken=decoder.taken,
+                settlements=settlements, decode=decoder.decode_patiently, read_exif=decoder.read_exif,
                 look_for_problem=quality.problem_of, limits=Limits.of(settings), wake=bell.ring,
             )  # fmt: skip
             loop = Loop(
@@ -321,9 +321,9 @@ def _services(
     )
     enroll = EnrollService(
         maps=store.maps, enrolment=enrolment, views=store.views, removals=store.removals, queue=store.jobs,
-        settlements=settlements, decode=decoder.decode, taken=decoder.taken, look_for_problem=quality.problem_of,
-        default_recipe=default_recipe, limit=settings.queue, pace_s=lambda: scheduler.pace_s, wake=bell.ring,
-        workers=lambda: attendance.alive, describer=searcher.describer,
+        settlements=settlements, decode=decoder.decode, read_exif=decoder.read_exif,
+        look_for_problem=quality.problem_of, default_recipe=default_recipe, limit=settings.queue,
+        pace_s=lambda: scheduler.pace_s, wake=bell.ring, workers=lambda: attendance.alive, describer=searcher.describer,
         resembles=Resemblances(store.maps, store.descriptions, searcher, duplicates).of,
     )  # fmt: skip
     renderings = RenderingService(

@@ -189,8 +189,8 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
 
 def _of_exif(paths: Sequence[Path]) -> dict[Path, images.Known]:
     """What the EXIF of each image says."""
-    with images.exif_read() as taken:
-        return {path: taken(path) for path in paths}
+    with images.exif_read() as read_exif:
+        return {path: read_exif(path) for path in paths}
 
 
 def _of_all(arguments: argparse.Namespace, metadata: dict[str, Any] | None) -> images.Known:

@@ -84,7 +84,7 @@ def _not_taken(path: Path) -> str | None:
 
 @contextmanager
 def exif_read() -> Iterator[Callable[[Path], Known]]:
-    """Context manager: a function that gives what the EXIF of an image says, as `exif.taken`.
+    """Context manager: a function that gives what the EXIF of an image says, as `worker.images.exif.read_exif`.
 
     In a process of its own, as the service reads it: one damaged file among thousands may end it.
     """
@@ -95,9 +95,9 @@ def exif_read() -> Iterator[Callable[[Path], Known]]:
     logging.getLogger("worker.images").addHandler(logging.NullHandler())  # it is told below, with the file's name
     decoder = DecoderPool(1, Limits(LARGEST * MEGA, LARGEST * MEGA), READING_S)
 
-    def taken(path: Path) -> Known:
+    def read(path: Path) -> Known:
         try:
-            return decoder.taken(path.read_bytes())
+            return decoder.read_exif(path.read_bytes())
         except BadImage as error:
             say(f"{path}: its EXIF is not read: {error.detail}")
         except (OSError, BodyTooLarge):
@@ -105,7 +105,7 @@ def exif_read() -> Iterator[Callable[[Path], Known]]:
         return {}
 
     try:
-        yield taken
+        yield read
     finally:
         decoder.close()
 

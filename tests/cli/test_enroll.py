@@ -19,7 +19,7 @@ from app.cli.console import Failure
 from lab.faults.heics import heics
 from tests import answers
 from tests.cli.fake_service import FakeService
-from worker.images.exif import taken
+from worker.images.exif import read_exif
 
 Out = pytest.CaptureFixture[str]
 
@@ -302,7 +302,7 @@ def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
     gps[29], gps[7] = "2026:03:01", (IFDRational(9), IFDRational(30), IFDRational(0))
     PilImage.new("RGB", (40, 40)).save(path, exif=exif)
 
-    known = taken(path)
+    known = read_exif(path)
 
     assert known["lat"] == pytest.approx(-33.86)
     assert known["lon"] == pytest.approx(151.2)
@@ -335,8 +335,8 @@ def test_north_is_no_direction_of_a_frame_in_metres(
 
 
 def test_images_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
-    assert taken(folder / "b.png") == {}
-    assert taken(folder / "notes.txt") == {}
+    assert read_exif(folder / "b.png") == {}
+    assert read_exif(folder / "notes.txt") == {}
 
 
 def test_one_damaged_file_leaves_the_exif_of_the_others(tmp_path: Path, capsys: Out) -> None:

@@ -23,7 +23,7 @@ from worker.images.apart import process as process_module
 from worker.images.apart.pool import DecoderPool
 from worker.images.apart.process import DecoderProcess
 from worker.images.codec import Limits, decode, thumbnail
-from worker.images.exif import taken
+from worker.images.exif import read_exif
 
 LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
 
@@ -86,8 +86,8 @@ def test_what_exif_says_is_the_same_apart(pool: DecoderPool) -> None:
     said = encoded(drawn(320, 240), "jpeg", exif=exif)
 
     assert (
-        pool.taken(said)
-        == taken(io.BytesIO(said))
+        pool.read_exif(said)
+        == read_exif(io.BytesIO(said))
         == {
             "lat": pytest.approx(-27.4),
             "lon": pytest.approx(153 + 30 / 3600),
@@ -96,7 +96,7 @@ def test_what_exif_says_is_the_same_apart(pool: DecoderPool) -> None:
         }
     )
     for silent in (encoded(drawn(320, 240), "png"), b"", b"%PDF-1.7"):
-        assert pool.taken(silent) == {}
+        assert pool.read_exif(silent) == {}
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [((95.0, 0.0, 0.0), (14.0, 0.0, 0.0)), ((0.0, 0.0, 0.0),) * 2])
@@ -104,7 +104,7 @@ def test_a_position_that_is_none_is_left_out(latitude: tuple[float, ...], longit
     exif = PilImage.Exif()
     exif.get_ifd(0x8825).update({1: "N", 2: latitude, 3: "E", 4: longitude})
 
-    assert taken(io.BytesIO(encoded(drawn(64, 48), "jpeg", exif=exif))) == {}
+    assert read_exif(io.BytesIO(encoded(drawn(64, 48), "jpeg", exif=exif))) == {}
 
 
 def test_refusals_are_the_same_apart(pool: DecoderPool) -> None:

@@ -14,7 +14,7 @@ from schemas.errors import BadImage
 from tests.sample_images import drawn
 from worker.images.apart.pool import DecoderPool
 from worker.images.codec import Limits, decode, probe, thumbnail
-from worker.images.exif import taken
+from worker.images.exif import read_exif
 from worker.images.heic import SMALLEST, is_heic
 
 LIMITS = Limits()
@@ -104,7 +104,7 @@ def test_the_type_is_known_by_its_brands(head: bytes, expected: bool) -> None:
 def test_where_and_when_it_was_taken_is_read_from_it(tmp_path: Path) -> None:
     (tmp_path / "IMG_1.HEIC").write_bytes(HEICS["turned"])
 
-    known = taken(tmp_path / "IMG_1.HEIC")
+    known = read_exif(tmp_path / "IMG_1.HEIC")
 
     assert known["lat"] == pytest.approx(50 + 5 / 60)
     assert known["heading"] == 90

@@ -32,8 +32,8 @@ class Decoder(Protocol):
         """A JPEG without metadata, upright, its longer side at most `longest` pixels; raises as `decode`."""
         ...
 
-    def taken(self, data: bytes) -> Known:
-        """As `exif.taken`; raises BadImage, BodyTooLarge, Unavailable."""
+    def read_exif(self, data: bytes) -> Known:
+        """As `exif.read_exif`; raises BadImage, BodyTooLarge, Unavailable."""
         ...
 
     def close(self) -> None:
@@ -67,9 +67,9 @@ class InProcessDecoder:
         """As `codec.thumbnail`."""
         return codec.thumbnail(data, longest)
 
-    def taken(self, data: bytes) -> Known:
-        """As `exif.taken`."""
-        return exif.taken(io.BytesIO(data))
+    def read_exif(self, data: bytes) -> Known:
+        """As `exif.read_exif`."""
+        return exif.read_exif(io.BytesIO(data))
 
     def close(self) -> None:
         """Nothing to release."""

@@ -18,7 +18,7 @@ Known = dict[str, Any]
 """What is known, by the names of `ViewAttributes` and `Position`."""
 
 
-def taken(source: Path | BinaryIO) -> Known:
+def read_exif(source: Path | BinaryIO) -> Known:
     """Position, heading and time of an image; empty without them.
 
     Parameters
@@ -48,7 +48,7 @@ def taken(source: Path | BinaryIO) -> Known:
     direction, kind = _number(gps.get(17)), _side(gps.get(16))
     if direction is not None and kind != "M":  # M: magnetic, which is not north
         known["heading"] = whole_turn(direction % 360)  # of next to nothing below 0 the rest is 360.0
-    if (moment := _taken(camera, gps)) is not None:
+    if (moment := _time(camera, gps)) is not None:
         known["captured_at"] = moment
     return known
 
@@ -97,7 +97,7 @@ def _text(value: Any) -> str:
     return named.strip("\0 ") if isinstance(named, str) else ""
 
 
-def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
+def _time(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
     """Time of capture: the GPS time (UTC), or else the camera's clock when EXIF has its zone."""
     return _time_of_gps(gps) or _time_of_clock(exif)
 

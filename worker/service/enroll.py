@@ -108,7 +108,7 @@ class EnrollService:
         Waits for a view to be described.
     decode : function
         Bytes to Image; raises BadImage.
-    taken : function
+    read_exif : function
         Bytes to what their EXIF says of place and time, by our names.
     look_for_problem : function
         What is wrong with an image, in words, or None.
@@ -138,7 +138,7 @@ class EnrollService:
         queue: JobQueue,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
-        taken: Callable[[bytes], Mapping[str, Any]],
+        read_exif: Callable[[bytes], Mapping[str, Any]],
         look_for_problem: Callable[[Image], str | None],
         default_recipe: MapRecipe,
         limit: int,
@@ -150,7 +150,7 @@ class EnrollService:
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
-        self._decode, self._taken = decode, taken
+        self._decode, self._read_exif = decode, read_exif
         self._look_for_problem, self._default_recipe = look_for_problem, default_recipe
         self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
         self._resembles, self._describer = resembles, describer
@@ -210,7 +210,7 @@ class EnrollService:
         if waits and isinstance(self._settlements.trouble, DiskFull | StorageFailed):
             raise self._settlements.trouble
         if exif:
-            attributes = completed(attributes, self._taken(data))
+            attributes = completed(attributes, self._read_exif(data))
         recipe = self._default_recipe if makes_map else None
         submitted = self._enrolment.submit(
             map_name, data, image, attributes, recipe, datetime.now(UTC), steady.reading_s(), refuse_poor=refuses_poor

@@ -73,7 +73,7 @@ class Importer:
         Waits for views to be described.
     decode : function
         Bytes to Image; raises BadImage.
-    taken : function
+    read_exif : function
         Bytes to what their EXIF says, by the names of attributes; raises BadImage.
     look_for_problem : function
         What is wrong with an image, in words, or None.
@@ -91,13 +91,13 @@ class Importer:
         enrolment: BlurringEnrolment,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
-        taken: Callable[[bytes], Mapping[str, Any]],
+        read_exif: Callable[[bytes], Mapping[str, Any]],
         look_for_problem: Callable[[Image], str | None],
         limits: Limits,
         wake: Callable[[], None],
     ) -> None:
         self._uploads, self._jobs, self._enrolment, self._settlements = uploads, jobs, enrolment, settlements
-        self._decode, self._taken, self._look_for_problem = decode, taken, look_for_problem
+        self._decode, self._read_exif, self._look_for_problem = decode, read_exif, look_for_problem
         self._limits, self._wake, self._removals = limits, wake, removals
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
@@ -178,7 +178,7 @@ class Importer:
         data = item.read()
         attributes = item.attributes
         if exif:
-            known = self._taken(data if item.original is None else item.original())
+            known = self._read_exif(data if item.original is None else item.original())
             attributes = completed(attributes, {name: value for name, value in known.items() if name in exif})
         attributes = turned(attributes, item.turn)
         view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)

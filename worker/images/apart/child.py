@@ -19,9 +19,9 @@ from PIL import Image as PilImage
 
 from schemas.errors import RevisitError
 from worker.images import codec
-from worker.images.apart.protocol import READY, TAKEN, THUMBNAIL, Request, mapped, send_reply
+from worker.images.apart.protocol import READ_EXIF, READY, THUMBNAIL, Request, mapped, send_reply
 from worker.images.apart.restraints import restrict
-from worker.images.exif import taken
+from worker.images.exif import read_exif
 from worker.images.heic import SMALLEST
 
 _FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
@@ -61,8 +61,8 @@ def _answer(request: Request, data: bytes, target: Any, limits: codec.Limits) ->
             small = codec.thumbnail(data, request.longest)
             target[: len(small)] = small
             return {"length": len(small)}
-        if request.kind == TAKEN:
-            known = taken(io.BytesIO(data))
+        if request.kind == READ_EXIF:
+            known = read_exif(io.BytesIO(data))
             moment = known.pop("captured_at", None)
             return {"known": known, "captured_at": None if moment is None else moment.isoformat()}
         room = np.frombuffer(target, np.uint8)
@@ -89,7 +89,7 @@ def _warm_up() -> None:
             codec.decode(out.getvalue(), limits)
             codec.thumbnail(out.getvalue(), 16)
     codec.decode(SMALLEST, limits)
-    taken(io.BytesIO(SMALLEST))
+    read_exif(io.BytesIO(SMALLEST))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from schemas.image import Image
 from schemas.settings import Settings
 from worker.images.apart.buffers import Buffers
 from worker.images.apart.process import DecoderProcess, Died, Hung
-from worker.images.apart.protocol import DECODE, TAKEN, THUMBNAIL
+from worker.images.apart.protocol import DECODE, READ_EXIF, THUMBNAIL
 from worker.images.codec import Limits, check_length
 from worker.images.decoder import Decoder, InProcessDecoder
 from worker.images.exif import Known
@@ -87,10 +87,10 @@ class DecoderPool:
         """A small JPEG; raises as `decode`."""
         return self._with_process(lambda process: self._thumbnail(process, data, longest), patient=False)
 
-    def taken(self, data: bytes) -> Known:
+    def read_exif(self, data: bytes) -> Known:
         """What the EXIF says; waits for its turn, and raises BadImage where reading it ends the process."""
         check_length(data, self._limits)
-        return self._with_process(lambda process: self._taken(process, data), patient=True)
+        return self._with_process(lambda process: self._read_exif(process, data), patient=True)
 
     def close(self) -> None:
         """End all processes, after the images that they decode."""
@@ -123,8 +123,8 @@ class DecoderPool:
         _raise_refusal(reply)
         return memory[: int(reply["length"])]
 
-    def _taken(self, process: DecoderProcess, data: bytes) -> Known:
-        reply, _ = process.ask(TAKEN, data)
+    def _read_exif(self, process: DecoderProcess, data: bytes) -> Known:
+        reply, _ = process.ask(READ_EXIF, data)
         _raise_refusal(reply)
         known, moment = dict(reply["known"]), reply["captured_at"]
         return known if moment is None else {**known, "captured_at": datetime.fromisoformat(moment)}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 READY = b"R"
-DECODE, THUMBNAIL, TAKEN = 0, 1, 2
+DECODE, THUMBNAIL, READ_EXIF = 0, 1, 2
 
 _REQUEST = struct.Struct("<BQI")
 _LENGTH = struct.Struct("<I")
@@ -25,7 +25,7 @@ class Request:
     Parameters
     ----------
     kind : int
-        DECODE, THUMBNAIL or TAKEN.
+        DECODE, THUMBNAIL or READ_EXIF.
     length : int
         Of the encoded bytes.
     longest : int
