@@ -121,6 +121,13 @@ class DescriptionRecord:
     nodes: int
 
 
+class Failure(NamedTuple):
+    """Why a view or a job failed: a code, which is that of an error or ``damaged``, and what happened, in words."""
+
+    code: str
+    detail: str
+
+
 @dataclass(frozen=True)
 class ViewRecord:
     """A view in the store.
@@ -138,7 +145,7 @@ class ViewRecord:
     enrolled_at: datetime
     image: ImageFacts
     state: ViewState
-    failure: tuple[str, str] | None
+    failure: Failure | None
     description: DescriptionRecord | None
 
 
@@ -188,8 +195,7 @@ class JobRecord:
         None for a describe job.
     result : mapping or None
         Of a finished job, such as the recipe's id; of an import from its beginning.
-    failure : (str, str) or None
-        Code and detail.
+    failure : Failure or None
     """
 
     id: str
@@ -202,7 +208,7 @@ class JobRecord:
     result: Mapping[str, Any] | None
     created_at: datetime
     finished_at: datetime | None
-    failure: tuple[str, str] | None
+    failure: Failure | None
 
 
 @dataclass(frozen=True)

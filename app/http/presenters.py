@@ -10,7 +10,7 @@ from typing import Literal
 from schemas import wire
 from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
-from schemas.records import JobRecord, PlaceRecord, Position, ViewRecord
+from schemas.records import Failure, JobRecord, PlaceRecord, Position, ViewRecord
 from worker.images.palette import colour
 from worker.method.camera_fixed import share_left_out
 from worker.method.decision import Decision, PlaceProbability, own_share
@@ -81,9 +81,9 @@ def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
     )
 
 
-def failure(reason: tuple[str, str] | None) -> wire.Failure | None:
-    """A failure from (code, detail)."""
-    return None if reason is None else wire.Failure(code=reason[0], detail=reason[1])
+def failure(reason: Failure | None) -> wire.Failure | None:
+    """Why a view or a job failed."""
+    return None if reason is None else wire.Failure(code=reason.code, detail=reason.detail)
 
 
 def job(record: JobRecord) -> wire.Job:

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from schemas.description import Description
 from schemas.errors import Damaged, LeaseLost, PoorImage
 from schemas.recipe import DescriptionRecipe
-from schemas.records import Claim, JobKind, MapClaim
+from schemas.records import Claim, Failure, JobKind, MapClaim
 from worker.storage import clock, forgetting, switching
 from worker.storage.damage import bury
 from worker.storage.descriptions import keep_description
@@ -110,7 +110,7 @@ class Jobs(Part):
             job = self._held(connection, claim)
             if code == PoorImage.code:
                 _refuse(connection, job, now, detail)
-            changed_over = self.settle(connection, job, "failed", now, (code, detail))
+            changed_over = self.settle(connection, job, "failed", now, Failure(code, detail))
         if changed_over is not None:
             forgetting.remove_after_switch(self._database, self._images, job.map_id)
 
@@ -130,11 +130,13 @@ class Jobs(Part):
         job: sa.Row[Any],
         state: str,
         now: datetime,
-        failure: tuple[str | None, str | None] = (None, None),
+        failure: Failure | None = None,
     ) -> int | None:
         """End a job and update its view; returns the map's revision if that finished a recipe switch."""
-        code, detail = failure
-        outcome = {"failure_code": code, "failure_detail": detail}
+        outcome = {
+            "failure_code": None if failure is None else failure.code,
+            "failure_detail": None if failure is None else failure.detail,
+        }
         ended = {"state": state, "token": None, "finished_at": now, **outcome}
         connection.execute(_JOB_ENDS, {"of": job.number, **ended})
         if job.recipe == connection.execute(_MAP, {"of": job.map_id}).one().recipe:

@@ -19,7 +19,7 @@ from uuid6 import uuid7
 
 from schemas.errors import Cancelled, Conflict, Damaged, LeaseLost, NotFound, RecipeChanged
 from schemas.recipe import DescriptionRecipe, MapRecipe
-from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
+from schemas.records import Failure, JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, deleted_images, forgetting, switching
 from worker.storage.calls import keep_vocabulary
 from worker.storage.jobs import ATTEMPTS, Jobs
@@ -30,7 +30,7 @@ from worker.storage.tables import JOBS, MAPS, VIEWS
 
 WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before it was finished; see the worker's log"
 
-CANCELLED = Cancelled.failure, "its description was cancelled; enrol the image again to have it described"
+CANCELLED = Failure(Cancelled.failure, "its description was cancelled; enrol the image again to have it described")
 
 
 class MapJobs(Jobs):
@@ -132,7 +132,7 @@ class MapJobs(Jobs):
                 )
                 name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
                 return MapClaim(job.id, job.kind, token, str(name))
-            _fail(connection, job, now, ("worker-died", WORKER_DIED))
+            _fail(connection, job, now, Failure("worker-died", WORKER_DIED))
         if self.drop_files is not None:
             self.drop_files(job.id)
         return None
@@ -168,7 +168,7 @@ class MapJobs(Jobs):
             except LeaseLost as error:
                 log.info("a failure of the job %s counts for nothing: %s", claim.job_id, error.detail)
                 return
-            _fail(connection, job, now, (code, detail))
+            _fail(connection, job, now, Failure(code, detail))
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a claimed job back without counting the attempt; does nothing when the claim is void."""
@@ -240,7 +240,7 @@ class MapJobs(Jobs):
                 elif job.recipe is not None:
                     switching.stop(connection, job.map_id, job.recipe, now)
                 kept = _LEFT.get(job.kind, switching.DISCARDED)
-                _end(connection, job.number, "cancelled", now, ("cancelled", kept))
+                _end(connection, job.number, "cancelled", now, Failure("cancelled", kept))
             return record_of(connection, job_id), job.map_id if ended_switch else None
 
         # Its recording, or its half of a snapshot, may be what fills the disk.
@@ -294,16 +294,16 @@ def held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:
     return job
 
 
-def _fail(connection: sa.Connection, job: sa.Row[Any], now: datetime, failure: tuple[str, str]) -> None:
+def _fail(connection: sa.Connection, job: sa.Row[Any], now: datetime, failure: Failure) -> None:
     """End a job as failed; with that of a shadow goes the shadow."""
     if job.kind == "shadow":
         switching.stop(connection, job.map_id, job.recipe, now)
     _end(connection, job.number, "failed", now, failure)
 
 
-def _end(connection: sa.Connection, number: int, state: JobState, now: datetime, failure: tuple[str, str]) -> None:
+def _end(connection: sa.Connection, number: int, state: JobState, now: datetime, failure: Failure) -> None:
     ended = {"state": state, "token": None, "finished_at": now}
-    reason = {"failure_code": failure[0], "failure_detail": failure[1]}
+    reason = {"failure_code": failure.code, "failure_detail": failure.detail}
     connection.execute(sa.update(JOBS).where(JOBS.c.number == number).values(**ended, **reason))
     deleted_images.forget(connection, number)
 
@@ -344,7 +344,7 @@ def _of_row(connection: sa.Connection, row: sa.Row[Any]) -> JobRecord:
         result=result,
         created_at=row.created_at,
         finished_at=row.finished_at,
-        failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+        failure=None if row.failure_code is None else Failure(row.failure_code, row.failure_detail),
     )
 
 
@@ -362,7 +362,7 @@ def _damaged_record(row: sa.Row[Any]) -> JobRecord:
         result=None,
         created_at=row.created_at,
         finished_at=None,
-        failure=(Damaged.code, "the stored row of this job is damaged; `./revisit doctor --repair` mends it"),
+        failure=Failure(Damaged.code, "the stored row of this job is damaged; `./revisit doctor --repair` mends it"),
     )
 
 

@@ -13,7 +13,7 @@ from schemas.blur import BLUR_WORDS
 from schemas.errors import Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import DescriptionRecord, MapRecord, Position, ViewAttributes, ViewRecord
+from schemas.records import DescriptionRecord, Failure, MapRecord, Position, ViewAttributes, ViewRecord
 from schemas.values import composed
 from worker.storage import checksums
 from worker.storage.packing import unpack_floats
@@ -189,12 +189,12 @@ def view_record(row: sa.Row[Any]) -> ViewRecord:
     if not has_whole_attributes(row):
         return _damaged_record(row)
     description, state = None, row.state
-    failure = None if row.failure_code is None else (row.failure_code, row.failure_detail)
+    failure = None if row.failure_code is None else Failure(row.failure_code, row.failure_detail)
     if row.state not in VIEW_STATES:
-        state, failure = "failed", (Damaged.code, "its stored state is damaged")
+        state, failure = "failed", Failure(Damaged.code, "its stored state is damaged")
     elif row.recipe is not None and row.state == "ready":
         if not has_whole_facts(row):
-            state, failure = "failed", (Damaged.code, "its description is damaged")
+            state, failure = "failed", Failure(Damaged.code, "its description is damaged")
         else:
             description = DescriptionRecord(
                 row.recipe, row.descriptor_count, row.static_share, unpack_floats(row.label_shares), row.nodes
@@ -248,7 +248,7 @@ def _damaged_record(row: sa.Row[Any]) -> ViewRecord:
         enrolled_at=row.enrolled_at,
         image=ImageFacts(sizes[0], sizes[1], sizes[2], kind, str(row.sha256)),
         state="failed",
-        failure=(Damaged.code, str(detail)),
+        failure=Failure(Damaged.code, str(detail)),
         description=None,
     )
 

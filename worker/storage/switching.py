@@ -16,6 +16,7 @@ from uuid6 import uuid7
 
 from schemas.errors import Conflict, PoorImage
 from schemas.recipe import MapRecipe, RankingConfig
+from schemas.records import Failure
 from worker.storage import clock
 from worker.storage.image_store import forgets
 from worker.storage.rows import as_json, batches, inserting, ranking_of
@@ -263,7 +264,7 @@ def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> 
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**NOTHING_NEXT))
 
 
-def stop_trying_again(connection: sa.Connection, job: sa.Row[Any], now: datetime, failure: tuple[str, str]) -> None:
+def stop_trying_again(connection: sa.Connection, job: sa.Row[Any], now: datetime, failure: Failure) -> None:
     """Stop the job that has failed views described again by the map's own recipe: those that wait are failed again.
 
     Of what waits by this recipe only the views that the job queued are its own; the others were enrolled.
@@ -271,7 +272,7 @@ def stop_trying_again(connection: sa.Connection, job: sa.Row[Any], now: datetime
     queued = JOBS.c.kind == "describe", JOBS.c.background, JOBS.c.created_at == job.created_at
     mine = JOBS.c.map_id == job.map_id, JOBS.c.recipe == job.recipe, JOBS.c.number > job.number
     ended = {"state": "cancelled", "finished_at": now, "token": None}
-    reason = {"failure_code": failure[0], "failure_detail": failure[1]}
+    reason = {"failure_code": failure.code, "failure_detail": failure.detail}
     own = sa.update(JOBS).where(*queued, *mine, JOBS.c.state.in_(UNFINISHED))
     connection.execute(own.values(**ended, **reason))
     settle(connection, job.map_id, job.recipe)

@@ -11,7 +11,7 @@ from typing import get_args
 
 import sqlalchemy as sa
 
-from schemas.records import JobKind, WorkerRecord
+from schemas.records import Failure, JobKind, WorkerRecord
 from worker.storage import forgetting
 from worker.storage.jobs import ATTEMPTS, WORKER_DIED
 from worker.storage.shadow_jobs import ShadowJobs
@@ -58,7 +58,7 @@ class Workers(ShadowJobs):
             changed_over = set()
             for job in left:
                 if job.kind == "describe" and job.attempts >= ATTEMPTS:
-                    if self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED)) is not None:
+                    if self.settle(connection, job, "failed", now, Failure("worker-died", WORKER_DIED)) is not None:
                         changed_over.add(job.map_id)
                     continue
                 back = {"state": "waiting", "worker": None, "token": None}
