@@ -26,18 +26,20 @@ MOST_PARAMETERS = 200
 LONGEST_PARAMETER = 64 * 1024
 LARGEST_JSON = 256 * 1024
 MOST_JSON_VALUES = 200_000
-"""Of a larger body: what is large in it is one image. So many are parsed in a tenth of a second, and fill 20 MB."""
+"""In a body larger than `LARGEST_JSON`, which is large for its one image. This many values are parsed in a tenth of a
+second and take 20 MB."""
 
 _QUICK = 1_000_000  # bytes that are parsed within a few milliseconds
 
 _EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*utf-8'[^']*'([^\s;\"]+)", re.IGNORECASE)
-"""Of a part (RFC 8187): .NET sends what is not ASCII so, and beside it as ``filename="=?utf-8?B?...?="``."""
+"""The file name of a part as RFC 8187 writes it. .NET sends a name that is not ASCII in this form, and a second time as
+``filename="=?utf-8?B?...?="``."""
 
 _PART = re.compile(rb"\r\n(?i:content-disposition)[ \t]*:[ \t]*form-data")
-"""Where a part begins, whatever its boundary: of an image no bytes are."""
+"""The header that each part has, whatever the boundary. The bytes of an image do not contain it."""
 
 _AS_IT_IS = (b"", b"7bit", b"8bit", b"binary")
-"""Codings of a part that change nothing (RFC 2045, 6.2); others stand before none in HTTP (RFC 7578, 4.7)."""
+"""Transfer encodings that leave a part unchanged (RFC 2045, 6.2). RFC 7578, 4.7 rules out the others over HTTP."""
 
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 

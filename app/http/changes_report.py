@@ -25,7 +25,7 @@ def changes(comparison: Comparison, drawing: str) -> wire.Changes:
 
 
 def put_off(refused: Busy, query_id: str) -> wire.Changes:
-    """Of a query that is answered, while its photos could not be compared."""
+    """The report for a query that was answered while a full queue refused to compare its photos: when to ask again."""
     later = f"{refused.detail}; get /queries/{query_id}/changes in {refused.retry_after_s} s"
     return wire.Changes(status="busy", detail=later, since=None, compared=0.0, similarity=None, changes=[], links={})
 

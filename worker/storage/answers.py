@@ -26,7 +26,7 @@ FEW = 8
 """Deleted views up to which the database looks for their ids; for more all answers are read once."""
 
 LATE = timedelta(minutes=5)
-"""By how much a call may seem to have begun before it did: it waited for its turn, or by another clock."""
+"""By how much the recorded start of a call may be too early: the call waited for its turn, or another clock gave it."""
 
 DELETED: Mapping[str, Any] = {
     "place": None, "position": None, "captured_at": None, "metadata": {}, "filename": None, "description": None,
@@ -48,7 +48,8 @@ _VIEW = re.compile(f"(?:view |view '|views/|as )({_ID.pattern})")
 class Answers:
     """Answers that are kept and tell of some views, found before these are changed, or deleted in portions.
 
-    All of a day are looked through, once, while others write; in the transactions only those of calls that ended since.
+    The answers of a whole day are searched once, outside of any writing transaction. A transaction that calls `tell` or
+    `forget` searches only those of calls that ended since.
 
     Parameters
     ----------
@@ -72,11 +73,11 @@ class Answers:
                     self._telling[view].append(key)
 
     def forget(self, connection: sa.Connection, views: Collection[str]) -> None:
-        """Leave of views, which a transaction that writes in turn deletes, nothing but their ids."""
+        """Leave nothing of views but their ids in the answers, in the writing transaction that deletes these views."""
         self.tell(connection, dict.fromkeys(views))
 
     def tell(self, connection: sa.Connection, views: Now) -> None:
-        """Tell of views, which a transaction that writes in turn changes, what they have now, and nothing they had."""
+        """Rewrite the answers to say what views have now, in the writing transaction that changes these views."""
         keys = {key for view in views for key in self._telling.get(view, ())}
         since = [CALLS.c.begun_at >= self._since]
         since += [CALLS.c.key.in_(portion) for portion in batches(self._running)]
@@ -104,9 +105,17 @@ def named(body: bytes) -> set[str]:
 
 
 def retold(body: bytes, views: Now, *, told_lately: bool = False) -> bytes:
-    """The answer to an enrolment, of one image or of several, with what it tells of some views changed.
+    """The answer to an enrolment, of one image or of several, brought up to date with what views have now.
 
-    `told_lately`: what is as it is told stays to the letter; and of the ids in `views` not all are of views.
+    Parameters
+    ----------
+    body : bytes
+        The answer, JSON. It is returned as it is where nothing changes.
+    views : mapping of str to ViewAttributes or None
+        None: deleted.
+    told_lately : bool
+        The call is only ending. Sentences that name a view as it is called now stay, and the ids in `views` were taken
+        from the answer's text, so that some may not be of views.
     """
     answer = json.loads(body)
     before = _text(answer)
@@ -125,7 +134,7 @@ def retold(body: bytes, views: Now, *, told_lately: bool = False) -> bytes:
 
 
 def _detail(detail: str, ids: Iterable[str | None], views: Now, told_lately: bool) -> str:
-    """What is said of some views, or only that one of them was deleted or changed."""
+    """A sentence that names views, or instead of it only that one of them was deleted or changed."""
     concerned = [(one, views[one]) for one in ids if one is not None and one in views]
     if any(attributes is None for _, attributes in concerned):
         return SINCE_DELETED
@@ -141,7 +150,7 @@ def _is_named(detail: str, view_id: str, now: ViewAttributes) -> bool:
 
 
 def _tell(view: dict[str, Any], now: ViewAttributes | None) -> None:
-    """Leave of a deleted view nothing but its id, and what its image is like; of another one what it has now."""
+    """Give a view in an answer what it has now. Of a deleted one its id and what its image is like stay."""
     if now is None:
         view |= DELETED
         view["image"]["sha256"] = "0" * 64
@@ -159,7 +168,7 @@ def _tell(view: dict[str, Any], now: ViewAttributes | None) -> None:
 
 
 def _bare(has: Mapping[str, Any]) -> str:
-    """What a view has, as text that is equal where it is."""
+    """What a view has, as a text to compare: equal for equal attributes."""
     position = has["position"]
     known = position and {name: value for name, value in position.items() if value is not None}
     return as_json({**has, "position": known})

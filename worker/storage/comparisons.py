@@ -24,22 +24,27 @@ from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 NOTHING: frozenset[int] = frozenset()
 
 OWN_QUANTILE = 0.9
-"""Of what views of one place get of each other: names may hold views that share nothing."""
+"""Quantile of the scores between views of one place: a high one, as a name may be given to views that share nothing."""
 
 SMALL = 40
-"""Views of a map that is compared again whenever their number changed. A larger one is when it has doubled: compared
-with twenty others or more, a view finds what it finds in a map of any size."""
+"""A map of at most this many views is compared again whenever their number changed, a larger map when the number has
+doubled: compared with twenty others or more, a view finds what it finds in a map of any size."""
 
 MOST_KEPT = 1000
 """Maps whose levels are kept in memory while they do not change."""
 
 DECIMALS = 12
-"""Of means. A database adds rows in any order, in which their last bits differ; the same views get the same answers."""
+"""Decimals to which means are rounded. A database adds rows in any order, which changes the last bits of a sum.
+Rounded, the same views get the same answers."""
 
 
 def outdate(connection: sa.Connection, map_id: int, seqs: Sequence[int]) -> None:
-    """Have views of a map compared again that were compared with views which are about to be deleted, or given to
-    another place: all of a small map, else those that took one of these for another place. Theirs counts until then."""
+    """Mark views of a map to be compared again, because the views `seqs` are about to be deleted or moved to another
+    place.
+
+    In a small map these are all views, else those whose strongest rival is one of `seqs`. What was measured of them
+    counts until they are compared again.
+    """
     by_own = (DESCRIPTIONS.c.map_id == MAPS.c.id) & (DESCRIPTIONS.c.recipe == MAPS.c.recipe)
     some = sa.select(DESCRIPTIONS.c.seq).join(MAPS, by_own).where(MAPS.c.id == map_id).limit(SMALL + 1).subquery()
     count = connection.scalar(sa.select(sa.func.count()).select_from(some)) or 0
