@@ -236,7 +236,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             for protocol, some in rows.items():
                 print(row(f"all, {protocol}", summed(some)))
         for name, made in claims.items():
-            print(told(name, made))
+            print(summary(name, made))
     except (RevisitError, ValueError) as refusal:
         print(refusal, file=sys.stderr)
         return 2
@@ -259,7 +259,7 @@ def served(options: argparse.Namespace) -> Iterator[Callable[[Trial], Sequence[C
         yield measured
 
 
-def told(name: str, claims: Sequence[Claims]) -> str:
+def summary(name: str, claims: Sequence[Claims]) -> str:
     """A variant of SeqSLAM on all maps together, at the published threshold and at the best one."""
     together = Claims(np.concatenate([c.quotient for c in claims]), np.concatenate([c.right for c in claims]))
     best = best_threshold(claims)

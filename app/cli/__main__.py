@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say, told
+from app.cli.console import DONE, FAILED, WRONG_USE, Failure, error_text, say
 from app.cli.filters import points_joined
 from app.version import VERSION
 
@@ -141,7 +141,7 @@ def _foreseen(error: Exception) -> str | None:
     from schemas.errors import RevisitError
 
     if isinstance(error, ClientError | RevisitError | TimeoutError):
-        return told(error)
+        return error_text(error)
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):

@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show_json(report.model_dump(mode="json"))
     else:
-        show(told(report))
+        show(report_text(report))
     return DONE
 
 
@@ -171,7 +171,7 @@ def _metres(row: Row, position: Any) -> float:
     return distance(label, Position(x=position.x, y=position.y, lat=position.lat, lon=position.lon))
 
 
-def told(report: "CalibrationReport") -> str:
+def report_text(report: "CalibrationReport") -> str:
     """The report as text."""
     figures: tuple[tuple[str, Callable[[HeldOutFigures], MeasuredRate]], ...] = (
         ("right among matched", lambda f: f.precision),

@@ -29,7 +29,7 @@ def wrong_use(text: str) -> NoReturn:
     raise Failure(text, WRONG_USE)
 
 
-def told(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """What an error of the client says, and where a command takes the key from that is missing."""
     hint = "\nThe command line takes the key from REVISIT_KEY, or from --key"
     return f"{error}{hint if getattr(error, 'code', None) == 'unauthorized' else ''}"

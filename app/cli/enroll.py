@@ -14,13 +14,13 @@ from app.cli.console import (
     FAILED,
     Failure,
     Verbs,
+    error_text,
     json_object,
     progress_bar,
     say,
     show,
     show_json,
     speaks,
-    told,
     wrong_use,
 )
 
@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
     work = _described(arguments, skipped)
     left_out = [{"file": str(one.path), "reason": one.reason} for one in skipped]
     if arguments.dry_run:
-        return _told(work, left_out, arguments)
+        return _show_dry_run(work, left_out, arguments)
     with Revisit(arguments.url, key=arguments.key) as revisit:
         summary = _enrolled(revisit, work, arguments.parallel)
     summary.skipped = left_out
@@ -137,7 +137,7 @@ def _name_skipped(left_out: Sequence[dict[str, str]]) -> None:
         say(f"  skipped {one['file']}: {one['reason']}")
 
 
-def _told(work: "Sequence[Work]", left_out: list[dict[str, str]], arguments: argparse.Namespace) -> int:
+def _show_dry_run(work: "Sequence[Work]", left_out: list[dict[str, str]], arguments: argparse.Namespace) -> int:
     """Say what would be enrolled; no service is called."""
     listed = [
         {"file": str(path), **{name: value for name, value in known.items() if value is not None}}
@@ -249,7 +249,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
         say(_come_in(summary, work, ", and those that were being sent may be"))
         raise
     if stop:
-        raise Failure(f"{told(stop[0])}\n{_come_in(summary, work)}")
+        raise Failure(f"{error_text(stop[0])}\n{_come_in(summary, work)}")
     summary.sort([path for path, _ in work])
     return summary
 

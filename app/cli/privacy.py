@@ -42,11 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
         kept = ("name", "blur", "keep_images", "keep_queries", "keep_matches")
         show_json({name: getattr(facts, name) for name in kept})
     else:
-        show("\n".join(_told(facts)))
+        show("\n".join(_text(facts)))
     return DONE
 
 
-def _told(facts: "MapFacts") -> list[str]:
+def _text(facts: "MapFacts") -> list[str]:
     blurred = f", {' and '.join(facts.blur)} blurred as far as they are found" if facts.blur else ", as they are sent"
     return [
         f"{facts.name}: images are {'kept' + blurred if facts.keep_images else 'removed once they are described'}",

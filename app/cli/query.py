@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:  # before anything is written: a mistyped folder is no reason to lose the answer
             show_json(answer.model_dump(mode="json"))
         else:
-            show(told(answer))
+            show(answer_text(answer))
         if arguments.explain is not None and answer.matches:
             arguments.explain.write_bytes(revisit.explanation(answer.query.id))
             say(f"explanation: {arguments.explain}")
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def told(answer: "QueryAnswer") -> str:
+def answer_text(answer: "QueryAnswer") -> str:
     """The answer as text."""
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
     if answer.reason.code != "sure" or answer.status != "matched":

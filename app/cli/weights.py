@@ -30,17 +30,17 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Check a weights file; returns 1 when it cannot be used."""
     from worker.encoders import inspection
 
-    return _told(inspection.check(arguments.file), arguments.json)
+    return _show(inspection.check(arguments.file), arguments.json)
 
 
 def run_convert(arguments: argparse.Namespace) -> int:
     """Convert a checkpoint to safetensors; returns 1 when it cannot be used."""
     from worker.encoders import inspection
 
-    return _told(inspection.convert(arguments.source, arguments.target), arguments.json)
+    return _show(inspection.convert(arguments.source, arguments.target), arguments.json)
 
 
-def _told(report: "WeightsReport", as_json: bool) -> int:
+def _show(report: "WeightsReport", as_json: bool) -> int:
     if as_json:
         show_json(asdict(report))
     else:

@@ -5,7 +5,7 @@ import tarfile
 import pytest
 from hypothesis import example, given, strategies as st
 
-from worker.storage.tar_headers import MOST_SIZE, header, told
+from worker.storage.tar_headers import MOST_SIZE, header, parse_header
 
 NAMES = ("snapshot.json", f"images/{'0f' * 32}", "descriptions/000001.bin", "manifest.ndjson", "x" * 100)
 
@@ -19,7 +19,7 @@ def test_it_is_that_of_tarfile_and_read_back(name: str, size: int) -> None:
     made = header(name, size)
 
     assert made == part.tobuf(tarfile.GNU_FORMAT)
-    assert told(made) == (name, size)
+    assert parse_header(made) == (name, size)
 
 
 @given(at=st.integers(0, 511), bits=st.integers(1, 255))
@@ -27,12 +27,12 @@ def test_a_changed_byte_anywhere_makes_it_another(at: int, bits: int) -> None:
     changed = bytearray(header("views/000001.ndjson", 12_345))
     changed[at] ^= bits
 
-    assert told(bytes(changed)) is None
+    assert parse_header(bytes(changed)) is None
 
 
 @pytest.mark.parametrize("raw", [b"", b"snapshot.json", bytes(512), b"\xff" * 512, header("snapshot.json", 1)[:511]])
 def test_what_is_no_header_is_none(raw: bytes) -> None:
-    assert told(raw) is None
+    assert parse_header(raw) is None
 
 
 @pytest.mark.parametrize(("name", "size"), [("a", -1), ("a", MOST_SIZE + 1), ("x" * 101, 0)])

@@ -241,7 +241,7 @@ class ChangeService:
             replace(side, marks=[mark for one in comparison.found.changes if (mark := _mark(one, when, names))])
             for side, when in zip(sides, ("then", "now"), strict=True)
         ]
-        return changes_png(sides[0], sides[1], told(comparison.found, names))
+        return changes_png(sides[0], sides[1], summary(comparison.found, names))
 
     def _look(self, image: Image, recipe: DescriptionRecipe) -> PhotoCells:
         """An image as cells: embeddings of the encoder, labels of the segmenter where there is one."""
@@ -251,7 +251,7 @@ class ChangeService:
         return self._describers.of(recipe).look(field, segmented)
 
 
-def told(found: Changes, names: Sequence[str]) -> str:
+def summary(found: Changes, names: Sequence[str]) -> str:
     """What changed, in a sentence."""
     words = [
         f"{names[one.label]} {one.kind}"

@@ -77,7 +77,7 @@ class NearDuplicates:
         return None
 
 
-def told(view: ViewRecord) -> str:
+def detail_of(view: ViewRecord) -> str:
     """That an image adds nothing beside a view, in words."""
     return f"nearly the same image is enrolled already, as {named(view)}; it adds nothing"
 

@@ -265,7 +265,7 @@ class EnrollService:
                 raise PoorImage(detail)
             raise Cancelled(detail) if code == Cancelled.failure else RevisitError(detail)
         try:
-            return self._told(accepted, view)
+            return self._outcome(accepted, view)
         except StorageFailed:
             if submitted.job_id is None:  # this call has stored nothing
                 raise
@@ -282,7 +282,7 @@ class EnrollService:
             timing_ms=timing_ms,
         )
 
-    def _told(self, accepted: Accepted, view: ViewRecord | None) -> Enrolled:
+    def _outcome(self, accepted: Accepted, view: ViewRecord | None) -> Enrolled:
         """The outcome of an image that was taken; raises StorageFailed where it cannot be read."""
         submitted = accepted.submitted
         record = submitted.view if view is None else view

@@ -26,4 +26,4 @@ class QualityGate:
         if moves is not None:
             return moves
         same = self._duplicates.of(claim.view.map, recipe.id, description, but=claim.view.seq)
-        return None if same is None else duplicates.told(same)
+        return None if same is None else duplicates.detail_of(same)

@@ -9,7 +9,7 @@ from schemas.errors import NotFound, RevisitError, Unavailable
 from schemas.records import Filters, ViewRecord
 from worker.method.places import ENOUGH_PLACES, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.service.comparing import Descriptions
-from worker.service.duplicates import NearDuplicates, named, told
+from worker.service.duplicates import NearDuplicates, detail_of, named
 from worker.service.match_standard import MatchStandard
 from worker.service.ports import Maps
 from worker.service.results import RankedResults
@@ -71,7 +71,7 @@ class Resemblances:
         except RevisitError as error:
             log.error("view %s is not compared with its map: %s", view.id, error.detail)
             return ()
-        first = () if same is None else (Resemblance("duplicate", told(same), same.id),)
+        first = () if same is None else (Resemblance("duplicate", detail_of(same), same.id),)
         alike = _look_alike(view, found)
         return first if alike is None else (*first, alike)
 

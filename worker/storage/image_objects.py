@@ -22,7 +22,7 @@ from schemas.errors import Damaged, RevisitError, SetupError
 from schemas.settings import IMAGES_ADDRESS
 from worker.storage import owner_file
 from worker.storage.image_files import DIGEST, LOST, Discarded, Owned, damaged_or
-from worker.storage.object_errors import MISSING, code_of, told
+from worker.storage.object_errors import MISSING, code_of, translated
 from worker.storage.object_files import ObjectFiles
 from worker.storage.owner_file import OWNER
 from worker.storage.peers import ImageHold, ImageLock
@@ -164,7 +164,7 @@ class ImageObjects:
         if not DIGEST.fullmatch(digest):
             raise Damaged(f"the stored SHA-256 of its image, {digest!r}, is none; enrol the image again")
         name = f"{self.address}/{digest[:2]}/{digest[2:4]}/{digest}"
-        with told(self.address):
+        with translated(self.address):
             try:
                 answer = self._client.get_object(Bucket=self._bucket, Key=self._key(digest))
                 with answer["Body"] as body:
@@ -218,7 +218,7 @@ class ImageObjects:
 
     def names(self) -> Iterator[str]:
         """The names of all objects below the prefix, without it; raises StorageFailed."""
-        with told(self.address):
+        with translated(self.address):
             pages = self._client.get_paginator("list_objects_v2").paginate(Bucket=self._bucket, Prefix=self._prefix)
             for page in pages:
                 for found in page.get("Contents", ()):
@@ -247,7 +247,7 @@ class ImageObjects:
     def problem(self) -> str | None:
         """Why images cannot be read or written now, or None; within some 6 s."""
         try:
-            with told(self.address):
+            with translated(self.address):
                 self._probing.list_objects_v2(Bucket=self._bucket, Prefix=self._prefix, MaxKeys=1)
                 if self._trouble:
                     self._probing.put_object(Bucket=self._bucket, Key=self._prefix + PROBE, Body=b"")
@@ -277,7 +277,7 @@ class ImageObjects:
         sent = base64.b64encode(bytes.fromhex(digest)).decode()
         self._trouble, before = True, self._trouble
         try:
-            with told(self.address):
+            with translated(self.address):
                 self._client.put_object(Bucket=self._bucket, Key=self._key(digest), Body=image, ChecksumSHA256=sent)
         except RevisitError as error:
             if not before:
@@ -301,7 +301,7 @@ class ImageObjects:
         hold.await_commits()
         needed = self._owned(digests)
         needless = sorted(set(digests) - needed)
-        with told(self.address):
+        with translated(self.address):
             for digest in needless:
                 hold.check()
                 self._client.delete_object(Bucket=self._bucket, Key=self._key(digest))

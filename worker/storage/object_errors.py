@@ -54,7 +54,7 @@ def problem_of(error: BotoCoreError | ClientError, address: str) -> RevisitError
 
 
 @contextmanager
-def told(address: str) -> Iterator[None]:
+def translated(address: str) -> Iterator[None]:
     """Raise errors of the store inside the block as DiskFull or StorageFailed."""
     try:
         yield

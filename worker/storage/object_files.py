@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from botocore.exceptions import BotoCoreError, ClientError
 
-from worker.storage.object_errors import MISSING, code_of, told
+from worker.storage.object_errors import MISSING, code_of, translated
 
 PART_BYTES = 16 * 1024 * 1024
 """Of one call of an upload, unless the file has more than `MOST_PARTS` of them."""
@@ -71,7 +71,7 @@ class ObjectFiles:
         whole = hashlib.sha256()
         size = path.stat().st_size
         part = max(PART_BYTES, -(-size // MOST_PARTS))
-        with path.open("rb") as file, told(self.address):
+        with path.open("rb") as file, translated(self.address):
             if size > part:
                 self._put_parts(file, name, part, whole, tell)
             else:
@@ -100,7 +100,7 @@ class ObjectFiles:
 
     def write(self, name: str, body: bytes) -> None:
         """Store some bytes under a name."""
-        with told(self.address):
+        with translated(self.address):
             sent = _base64(hashlib.sha256(body).digest())
             self._client.put_object(**self._of(name), Body=body, ChecksumSHA256=sent)
 
@@ -111,7 +111,7 @@ class ObjectFiles:
 
     def open(self, name: str) -> BinaryIO:
         """A file, for reading; raises FileNotFoundError. Errors of the store while it is read are raised by `read`."""
-        with told(self.address), _missing(name):
+        with translated(self.address), _missing(name):
             about = self._client.head_object(**self._of(name))
         reader = _Reader(self._client, self._of(name), self.address, about["ContentLength"], about["ETag"])
         return cast(BinaryIO, io.BufferedReader(reader, 64 * 1024))
@@ -131,18 +131,18 @@ class ObjectFiles:
 
     def size(self, name: str) -> int:
         """Bytes of a file; raises FileNotFoundError."""
-        with told(self.address), _missing(name):
+        with translated(self.address), _missing(name):
             return int(self._client.head_object(**self._of(name))["ContentLength"])
 
     def age_s(self, name: str) -> float:
         """Seconds since a file was written, by the store's clock; raises FileNotFoundError."""
-        with told(self.address), _missing(name):
+        with translated(self.address), _missing(name):
             about = self._client.head_object(**self._of(name))
         return _age_s(about, about["LastModified"])
 
     def below(self, folder: str) -> Iterator[Stored]:
         """The files whose names begin with ``folder/``."""
-        with told(self.address):
+        with translated(self.address):
             pages = self._client.get_paginator("list_objects_v2")
             for page in pages.paginate(Bucket=self._bucket, Prefix=f"{self._prefix}{folder}/"):
                 for found in page.get("Contents", ()):
@@ -151,7 +151,7 @@ class ObjectFiles:
 
     def unfinished(self, folder: str) -> Iterator[Stored]:
         """Uploads of such files that have not ended: their process works on them, or was killed."""
-        with told(self.address):
+        with translated(self.address):
             pages = self._client.get_paginator("list_multipart_uploads")
             for page in pages.paginate(Bucket=self._bucket, Prefix=f"{self._prefix}{folder}/"):
                 for found in page.get("Uploads", ()):
@@ -160,7 +160,7 @@ class ObjectFiles:
 
     def remove(self, name: str, upload: str | None = None) -> None:
         """Remove a file, or what there is of an upload that has not ended; does nothing when there is none."""
-        with told(self.address):
+        with translated(self.address):
             try:
                 if upload is None:
                     self._client.delete_object(**self._of(name))
@@ -206,7 +206,7 @@ class _Reader(io.RawIOBase):
         count = min(len(buffer), self._size - self._at)
         if count <= 0:
             return 0
-        with told(self._address):
+        with translated(self._address):
             piece = self._piece(count)
         buffer[: len(piece)] = piece
         self._at += len(piece)

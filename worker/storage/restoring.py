@@ -83,14 +83,14 @@ class Restoring(Part, again=False):
         """
         reader = SnapshotReader(path)
         with translated("snapshots"):
-            told = reader.facts()
-            name = told.map if name is None else name
+            facts = reader.facts()
+            name = facts.map if name is None else name
             allow(name)
             with self._database.reading() as connection:
                 _refuse_taken(connection, name)
             if self._database.space is not None:  # rows are written to the journal first, then to the database
-                self._database.space.admit(path.stat().st_size + told.row_bytes)
-            restoration = _Restoration(self._database, self._images, told, self._verify(reader, told))
+                self._database.space.admit(path.stat().st_size + facts.row_bytes)
+            restoration = _Restoration(self._database, self._images, facts, self._verify(reader, facts))
             try:
                 restoration.store(reader)
                 return restoration.finish(name, now)
@@ -103,7 +103,7 @@ class Restoring(Part, again=False):
                     ) from error
                 raise
 
-    def _verify(self, reader: SnapshotReader, told: SnapshotFacts) -> "_Verified":
+    def _verify(self, reader: SnapshotReader, facts: SnapshotFacts) -> "_Verified":
         """Compare the whole file with its manifest and its rows with each other."""
         taken, elapsed_us = False, 0
         images: set[bytes] = set()
@@ -120,19 +120,19 @@ class Restoring(Part, again=False):
             elif part.name == VOCABULARY:
                 vocabulary = hashlib.sha256(part.body).hexdigest()
             elif part.name.startswith(VIEW_PARTS):
-                found = read_views(part, told)
+                found = read_views(part, facts)
                 taken = taken or self._are_taken([view.id for view in found])
                 for view in found:
-                    _check_view(view, numbers, images, ids, told.keep_images)
+                    _check_view(view, numbers, images, ids, facts.keep_images)
                     elapsed_us = view.elapsed_us
                 views += len(found)
             elif part.name.startswith(COMPARISON_PARTS):
                 read_comparisons(part.name, part.body)
         if images:
             raise BadSnapshot(f"it has {len(images)} images without a view")
-        if views != told.views:
-            raise BadSnapshot(f"it has {views} views; its {FACTS} says {told.views}")
-        if vocabulary not in (None, told.description.vocabulary):
+        if views != facts.views:
+            raise BadSnapshot(f"it has {views} views; its {FACTS} says {facts.views}")
+        if vocabulary not in (None, facts.description.vocabulary):
             raise BadSnapshot("its vocabulary is not the one of its recipe")
         return _Verified(taken, elapsed_us)
 
@@ -190,12 +190,12 @@ def _key_of(inserted: sa.CursorResult[Any]) -> int:
 class _Restoration:
     """One map while it is being stored, in portions, so that other writers do not wait for all of it."""
 
-    def __init__(self, database: Database, images: ImageStore, told: SnapshotFacts, verified: _Verified) -> None:
-        self._database, self._images, self._told = database, images, told
-        self._recipe = told.description
+    def __init__(self, database: Database, images: ImageStore, facts: SnapshotFacts, verified: _Verified) -> None:
+        self._database, self._images, self._facts = database, images, facts
+        self._recipe = facts.description
         self.new_ids = verified.taken
         self.map_id: int | None = None
-        self._told_until: datetime | None = None
+        self._given_up_at: datetime | None = None
         self._revision = 0
         self._seqs: dict[int, int] = {}
         self._pending: list[int] = []
@@ -208,7 +208,7 @@ class _Restoration:
         tensors = next((part.body for part in reader.parts(VOCABULARY)), None)
         self._make_map(tensors)
         for part in reader.parts(VIEW_PARTS):
-            views = read_views(part, self._told)
+            views = read_views(part, self._facts)
             with self._database.writing() as connection:
                 self._tell(connection)
                 self._store_views(connection, views)
@@ -236,7 +236,7 @@ class _Restoration:
             switching.queue(connection, self.map_id, self._pending, self._recipe.id, now, background=False)
         return RestoredMap(
             map=name,
-            snapshot=self._told.id,
+            snapshot=self._facts.id,
             views=len(self._seqs),
             pending=len(self._pending),
             revision=revision,
@@ -246,32 +246,32 @@ class _Restoration:
     def _tell(self, connection: sa.Connection, **changed: object) -> None:
         """Say that somebody is at work on the map; raises StorageFailed when others began to remove it, since nobody
         had said so for minutes: they say it with another time."""
-        told = _given_up_at(connection)
-        mine = MAPS.c.id == self.map_id, MAPS.c.given_up_at == self._told_until
-        values = {"given_up_at": told, **changed}
+        given_up_at = _given_up_at(connection)
+        mine = MAPS.c.id == self.map_id, MAPS.c.given_up_at == self._given_up_at
+        values = {"given_up_at": given_up_at, **changed}
         if connection.execute(sa.update(MAPS).where(*mine).values(**values)).rowcount == 0:
             raise StorageFailed("what was restored so far was removed, since nothing was added for minutes; try again")
-        self._told_until = told
+        self._given_up_at = given_up_at
 
     def _make_map(self, tensors: bytes | None) -> None:
-        told = self._told
+        facts = self._facts
         with self._database.writing() as connection:
-            self._told_until = _given_up_at(connection)
+            self._given_up_at = _given_up_at(connection)
             kept = sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == self._recipe.vocabulary)
             if tensors is not None and connection.scalar(kept) is None:
                 connection.execute(inserting(VOCABULARIES), {"digest": self._recipe.vocabulary, "tensors": tensors})
             born = clock.read(connection)
             columns = {
                 "recipe": keep_recipe(connection, self._recipe),
-                "ranking": told.ranking.model_dump_json(),
-                "calibration": told.calibration,
-                "drop_images": None if told.keep_images else True,
-                "keep_queries": told.keep_queries or None,
-                "keep_matches": told.keep_matches or None,
-                "refuse_poor": told.refuse_poor or None,
-                "blur": as_json(list(told.blur)) if told.blur else None,
-                "created_at": told.map_created_at,
-                "given_up_at": self._told_until,
+                "ranking": facts.ranking.model_dump_json(),
+                "calibration": facts.calibration,
+                "drop_images": None if facts.keep_images else True,
+                "keep_queries": facts.keep_queries or None,
+                "keep_matches": facts.keep_matches or None,
+                "refuse_poor": facts.refuse_poor or None,
+                "blur": as_json(list(facts.blur)) if facts.blur else None,
+                "created_at": facts.map_created_at,
+                "given_up_at": self._given_up_at,
             }
             made = connection.execute(sa.insert(MAPS).values(name=None, revision=born, anew=born, **columns))
             map_id = _key_of(made)

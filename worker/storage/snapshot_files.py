@@ -29,7 +29,7 @@ from pydantic import ValidationError
 from schemas.errors import BadSnapshot
 from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
 from worker.storage.one_thread import OneThread
-from worker.storage.tar_headers import BLOCK, END, header, padding, told
+from worker.storage.tar_headers import BLOCK, END, header, padding, parse_header
 from worker.storage.uncached_file import UncachedFile
 
 FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
@@ -287,7 +287,7 @@ class SnapshotReader:
 def _read_header(file: BinaryIO) -> tuple[str, int]:
     """Name and size of the next part; raises BadSnapshot for any header that is not written so here."""
     raw = file.read(BLOCK)
-    name, size = told(raw) or ("", 0)
+    name, size = parse_header(raw) or ("", 0)
     if not _NAME.fullmatch(name):
         where = file.tell() - len(raw)
         if where == 0:

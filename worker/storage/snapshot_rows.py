@@ -166,12 +166,12 @@ def _rows() -> sa.Select[Any]:
     return wanted.where(VIEWS.c.seq.in_(sa.bindparam("seqs", expanding=True))).order_by(VIEWS.c.seq)
 
 
-def read_views(part: Part, told: SnapshotFacts) -> list[SnapshotView]:
+def read_views(part: Part, facts: SnapshotFacts) -> list[SnapshotView]:
     """The views of a part; raises BadSnapshot for anything that could not be stored."""
     views, end = [], 0
     for number, line in enumerate(part.body.splitlines(), 1):
         where = f"line {number} of its part {part.name}"
-        if told.version == 1:
+        if facts.version == 1:
             view: SnapshotView = _checked(SnapshotView, where, line)
         else:
             view, end = _joined(_checked(SnapshotLine, where, line), part.bodies, end)
@@ -181,7 +181,7 @@ def read_views(part: Part, told: SnapshotFacts) -> list[SnapshotView]:
             )
         if view.description is not None:
             try:
-                _check_description(view.description, told.description)
+                _check_description(view.description, facts.description)
             except ValueError as error:
                 raise BadSnapshot(f"the description of the view {view.id} cannot be used: {error}") from None
         views.append(view)

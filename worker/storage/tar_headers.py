@@ -43,7 +43,7 @@ def header(name: str, size: int) -> bytes:
     return b"".join((named.ljust(_NAME.stop, b"\0"), _MODE, sized, _TIME, summed, _REST))
 
 
-def told(raw: bytes) -> tuple[str, int] | None:
+def parse_header(raw: bytes) -> tuple[str, int] | None:
     """Name and size that a header tells; None for one that `header` would not have made."""
     try:
         name, size = raw[_NAME].rstrip(b"\0").decode("ascii"), int(raw[_SIZE].rstrip(b"\0"), 8)

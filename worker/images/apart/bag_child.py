@@ -134,7 +134,7 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
             break
         listed += 1
         decoded = _message(decoders, schema, channel, message)
-        time, pose = _told(name, decoded, message)
+        time, pose = _time_and_pose(name, decoded, message)
         if name in IMAGES:
             images.setdefault(channel.topic, []).append(time)
             encoding = str(getattr(decoded, "encoding", next(iter(CODES))))[:40]
@@ -155,7 +155,7 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
     }
 
 
-def _told(name: str, decoded: Any, message: Any) -> tuple[float, list[float | None] | None]:
+def _time_and_pose(name: str, decoded: Any, message: Any) -> tuple[float, list[float | None] | None]:
     """Time and pose of a message; of one whose schema is not that of its type the time when it was logged."""
     try:
         return _time(decoded, message), _pose(name, decoded) if name in POSES and decoded is not None else None
