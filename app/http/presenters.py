@@ -200,6 +200,7 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
     first = results.first_map
     searched = {one.name: (one, of.results) for of in result.found for one in of.results.maps}
     several = [searched[name] for name in result.names]
+    places, matches = _places(result), _matches(result)
     return wire.QueryAnswer(
         query=wire.QueryFacts(
             id=result.id,
@@ -218,7 +219,7 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
         status=decision.status,
         confidence=decision.confidence,
         reason=_reason(result),
-        places=(places := _places(result)),
+        places=places,
         nowhere=result.joined.nowhere,
         decision=wire.DecisionFacts(
             precision=decision.precision,
@@ -232,7 +233,7 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
         ),
         maps=[_map_answer(one, of, places) for one, of in several] if len(several) > 1 else None,
         drive=None if result.driven is None else _drive(result.driven, results),
-        matches=(matches := _matches(result)),
+        matches=matches,
         estimate=estimate(results, decision, {match.view.id for match in matches}),
         timing_ms=dict(result.timing_ms),
     )
