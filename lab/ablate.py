@@ -18,8 +18,8 @@ from lab.evaluation.measuring import RUN
 from lab.evaluation.progress import progress_bar
 from lab.evaluation.querying import Progress, query_all
 from lab.evaluation.service import map_of_its_own
-from lab.metrics.recall import Doubles, bootstrap_interval, first_right
-from schemas.description import DETAIL, SEMANTIC, Floats, PixelField
+from lab.metrics.recall import bootstrap_interval, first_right
+from schemas.description import DETAIL, SEMANTIC, Doubles, Floats, PixelField
 from schemas.errors import RevisitError
 from schemas.image import Image
 from schemas.recipe import DynamicFilter, GraphNodes, MapRecipe

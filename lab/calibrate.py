@@ -17,7 +17,7 @@ from lab.datasets.protocols import site_named
 from lab.evaluation.deciding import Decided
 from lab.fitting import Fit, Judgement, fit_isotonic, fit_logistic, judge, leave_one_out
 from lab.libraries import FOR_FITTING, require
-from lab.metrics.recall import Booleans, Doubles
+from schemas.description import Booleans, Doubles
 from schemas.errors import RevisitError
 from worker.method.calibration import Calibration, Logistic
 

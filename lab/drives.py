@@ -25,7 +25,7 @@ from lab.evaluation.in_process import runtime_for_measuring
 from lab.evaluation.once import DescribeOnce
 from lab.evaluation.querying import position_of
 from lab.evaluation.service import ServiceRetriever, map_of_its_own
-from lab.metrics.recall import Booleans, Doubles
+from schemas.description import Booleans, Doubles
 from schemas.errors import RevisitError
 from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe

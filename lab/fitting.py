@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lab.libraries import for_studies
-from lab.metrics.recall import Booleans, Doubles, Indices
+from lab.metrics.recall import Indices
+from schemas.description import Booleans, Doubles
 from worker.method.calibration import Curve, Isotonic, Logistic
 
 Fit = Callable[[Doubles, Booleans], Curve]

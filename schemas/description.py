@@ -10,6 +10,8 @@ Floats = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.integer]
 Int8s = npt.NDArray[np.int8]
 Booleans = npt.NDArray[np.bool_]
+Doubles = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
 SEMANTIC = "semantic"
 """Name of the language-aligned layer, which every encoder has, and of its channel."""

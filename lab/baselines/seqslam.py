@@ -13,8 +13,8 @@ import numpy as np
 
 from lab.baselines.baseline import Tick, city_block, described, grey
 from lab.baselines.tiny import normalised
-from lab.metrics.recall import Doubles, Indices
-from schemas.description import Floats
+from lab.metrics.recall import Indices
+from schemas.description import Doubles, Floats
 
 WIDTH, HEIGHT = 64, 32
 

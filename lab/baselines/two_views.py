@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lab.metrics.recall import Booleans, Indices
-from schemas.description import Floats
+from lab.metrics.recall import Indices
+from schemas.description import Booleans, Floats
 
 EPIPOLAR = 3 / 640
 """Largest distance of an inlier from its epipolar line, as a fraction of the longer side."""

@@ -15,12 +15,12 @@ import numpy as np
 from lab.benchmarks.changes import FOUND, Truth, overlap, refurnished, seen
 from lab.evaluation.in_process import runtime_for_measuring
 from lab.fitting import fit_logistic
+from schemas.description import Doubles
 from schemas.image import Image
 from schemas.settings import Settings
 from worker.description.describer import components
 from worker.method import changes
 from worker.method.changes import SAME_THING, Lost
-from worker.method.lost_cells import Doubles
 from worker.method.lost_regions import BIAS, WEIGHTS, Region
 from worker.runtime import Runtime
 

@@ -16,7 +16,6 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from lab.baselines.two_views import fundamental
 from lab.datasets import pairs
@@ -25,7 +24,7 @@ from lab.libraries import FOR_FITTING, for_studies, require
 from lab.scale.cache import Cache
 from lab.scale.measuring import EVERYTHING
 from lab.scale.pool import Pool, PoolFetch, placed, query_of
-from schemas.description import Floats, LocalFeatures
+from schemas.description import Booleans, Doubles, Floats, LocalFeatures
 from schemas.image import Bytes2D
 from schemas.recipe import MapRecipe
 from schemas.records import Changes
@@ -41,9 +40,6 @@ from worker.method.byte_vectors import Product
 from worker.method.evidence import Evidence
 from worker.search.byte_product import make_product
 from worker.search.flat_index import FlatIndex
-
-Doubles = npt.NDArray[np.float64]
-Booleans = npt.NDArray[np.bool_]
 
 CELLS = 4
 """Rows and columns of the grid over the query in which the spread of inliers is counted."""

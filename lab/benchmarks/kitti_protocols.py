@@ -15,7 +15,8 @@ import numpy as np
 
 from lab.datasets.dataset import UnexpectedLayout, within
 from lab.datasets.kitti import X, Z, read_poses
-from lab.metrics.recall import DEPTHS, Doubles, Indices, Truth, chance, first_right, recall
+from lab.metrics.recall import DEPTHS, Indices, Truth, chance, first_right, recall
+from schemas.description import Doubles
 
 FEWEST = 2 * max(DEPTHS)
 """Frames of a drive whose halves have as many as are ranked."""

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.metrics.recall import Doubles, Indices, Truth
+from lab.metrics.recall import Indices, Truth
+from schemas.description import Doubles
 from schemas.errors import RevisitError
 
 ENDINGS = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})

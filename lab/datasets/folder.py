@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from lab.datasets.dataset import ENDINGS, RADIUS_M, Dataset, UnexpectedLayout, composed, rows_of, within
-from lab.metrics.recall import Doubles, Indices
+from lab.metrics.recall import Indices
+from schemas.description import Doubles
 
 EXPECTED = """\
   ROOT/positions.csv   one row an image, with the columns

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, images_in, within
-from lab.metrics.recall import Doubles
+from schemas.description import Doubles
 
 EXPECTED = """\
   ROOT/sequences/00/image_2/000000.png ...   (left colour camera; or image_0, left grey)

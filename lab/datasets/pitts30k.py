@@ -8,7 +8,8 @@ import numpy as np
 from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, within
 from lab.datasets.utm_names import images_with_positions
 from lab.libraries import for_studies
-from lab.metrics.recall import Doubles, Indices
+from lab.metrics.recall import Indices
+from schemas.description import Doubles
 
 EXPECTED = """\
 either, as NetVLAD's authors hand it out,

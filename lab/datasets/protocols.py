@@ -13,7 +13,8 @@ import numpy as np
 from lab.datasets.dataset import Dataset, images_in
 from lab.datasets.layout import layout
 from lab.metrics.decisions import Kind
-from lab.metrics.recall import Booleans, Indices
+from lab.metrics.recall import Indices
+from schemas.description import Booleans
 
 RUN = 10
 """Neighbouring queries of a walk that make a block: intervals draw them together."""

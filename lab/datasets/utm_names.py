@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, images_in, within
-from lab.metrics.recall import Doubles
+from schemas.description import Doubles
 from schemas.errors import InvalidParameters
 
 EXPECTED = """\

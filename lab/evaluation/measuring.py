@@ -12,8 +12,6 @@ from lab.metrics.chance import Luck, looks_like_chance, suspicions
 from lab.metrics.precision_recall import correct_rejection, precision_recall
 from lab.metrics.recall import (
     DEPTHS,
-    Booleans,
-    Doubles,
     Indices,
     bootstrap_interval,
     ceiling,
@@ -23,6 +21,7 @@ from lab.metrics.recall import (
     recall,
     share_interval,
 )
+from schemas.description import Booleans, Doubles
 
 RUN = 10
 """Neighbouring queries of a drive that intervals draw together."""

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from lab.datasets.dataset import Dataset, digest
-from lab.metrics.recall import Booleans, Doubles, Indices
-from schemas.description import Floats
+from lab.metrics.recall import Indices
+from schemas.description import Booleans, Doubles, Floats
 from schemas.errors import RevisitError, SetupError
 from schemas.records import Position
 from worker.method.calibration import Verdict

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lab.metrics.recall import DEPTHS, Booleans, Doubles, Indices, Truth
+from lab.metrics.recall import DEPTHS, Indices, Truth
+from schemas.description import Booleans, Doubles
 
 SIGNIFICANCE = 0.01
 """A result is called more than luck only when luck does as well less often than this."""

@@ -14,7 +14,8 @@ import numpy as np
 from lab.fitting import reliability
 from lab.metrics.intervals import Names, Share, block_bootstrap, share
 from lab.metrics.precision_recall import PrecisionRecall, precision_recall
-from lab.metrics.recall import Booleans, Doubles, Indices
+from lab.metrics.recall import Indices
+from schemas.description import Booleans, Doubles
 
 Kind = Literal["known", "same-site", "other-site"]
 

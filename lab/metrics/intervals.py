@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lab.libraries import for_studies
-from lab.metrics.recall import Booleans, Indices
+from lab.metrics.recall import Indices
+from schemas.description import Booleans
 
 Names = npt.NDArray[np.str_]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lab.metrics.recall import Booleans, Doubles
+from schemas.description import Booleans, Doubles
 
 
 @dataclass(frozen=True, eq=False)

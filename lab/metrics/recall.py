@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from schemas.description import Booleans, Doubles
+
 Indices = npt.NDArray[np.int64]
-Doubles = npt.NDArray[np.float64]
-Booleans = npt.NDArray[np.bool_]
 
 DEPTHS = (1, 5, 10, 20)
 """The N of recall@N that the paper reports."""

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lab.libraries import for_studies
+from schemas.description import Doubles
 
 Counts = npt.NDArray[np.int64]
-Doubles = npt.NDArray[np.float64]
 
 START = (0.3, 30.0)
 """First guess of the two parameters of the distribution of shares."""

@@ -11,7 +11,7 @@ from lab.fitting import (
     leave_one_out,
     reliability,
 )
-from lab.metrics.recall import Booleans, Doubles
+from schemas.description import Booleans, Doubles
 
 
 def drawn(seed: int, n: int = 4000, shift: float = 0.0) -> tuple[Doubles, Booleans]:

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from schemas.description import Booleans, Doubles
 from worker.method import own_calibration
-from worker.method.calibration import Calibration, Doubles, Isotonic, Logistic
+from worker.method.calibration import Calibration, Isotonic, Logistic
 from worker.method.own_calibration import (
     BIAS_STIFFNESS,
     NEVER,
     STIFFNESS,
-    Booleans,
     Fitted,
     Labelled,
     OwnCalibration,

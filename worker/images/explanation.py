@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from schemas.description import Doubles
 from worker.images import text
 from worker.images.drawing import INK, PAPER, SMALLEST_SHARE, Pixels, Point, encode_png, name_nodes
 from worker.images.palette import Colour, colour
 
-Doubles = npt.NDArray[np.float64]
 Corner = tuple[int, int, int]
 """(x, y) of a photo's upper left pixel, and its longer side in pixels."""
 

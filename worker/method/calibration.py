@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-Doubles = npt.NDArray[np.float64]
+from schemas.description import Doubles
 
 Verdict = Literal["matched", "ambiguous", "no_match"]
 

@@ -9,16 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import DETAIL, Int8s
+from schemas.description import DETAIL, Doubles, Indices, Int8s
 from worker.method import hough
 from worker.method.byte_vectors import Product, float_product
 from worker.method.cell_regions import bounding_box, smoothed
 from worker.method.channel_fusion import length, slice_channel
 from worker.method.context_graph import Components
 from worker.method.dense_cells import burstiness_weight, correspondences
-from worker.method.hough import Doubles
-
-Indices = npt.NDArray[np.intp]
 
 LEAST_DIFFERENCE = 0.25
 """Cells differ when the smoothed difference of their weights is at least this share of the largest one."""

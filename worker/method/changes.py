@@ -10,8 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from schemas.description import Doubles
 from worker.method.context_graph import Components
-from worker.method.lost_cells import REACH, Doubles, PhotoCells, compare
+from worker.method.lost_cells import REACH, PhotoCells, compare
 from worker.method.lost_regions import Region, Spot, find_regions
 
 Kind = Literal["gone", "new", "moved"]

@@ -9,10 +9,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from schemas.description import Floats, Int8s
+from schemas.description import Doubles, Floats, Int8s
 from worker.method import dense_cells
 from worker.method.byte_vectors import Product, float_product, scale
-from worker.method.hough import Agreement, Doubles
+from worker.method.hough import Agreement
 
 REFERENCE_QUANTILE = 0.85
 """Quantile over the candidates at which two similarities are aligned: high enough to hold for rare kinds of places, and

@@ -11,15 +11,12 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Floats, Int8s
+from schemas.description import Doubles, Floats, Indices, Int8s
 from schemas.errors import DescriptorMismatch
 from worker.method.byte_vectors import Product, float_product, scale
-from worker.method.hough import Agreement, Correspondences, Doubles, agreement
+from worker.method.hough import Agreement, Correspondences, agreement
 from worker.method.unit_length import unit
-
-Indices = npt.NDArray[np.intp]
 
 BLOCK = 200_000
 """Cosines computed at once: a larger block would leave the processor's cache before its maxima are found."""

@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-Doubles = npt.NDArray[np.float64]
+from schemas.description import Doubles
+
 Integers = npt.NDArray[np.int64]
 
 KNOWN = 0.7

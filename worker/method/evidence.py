@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Appearance, ContextGraph, Floats
+from schemas.description import Appearance, ContextGraph, Doubles, Floats
 from schemas.recipe import RankingConfig
 from schemas.records import Candidates, Sequence64
 from worker.method import score_fusion
 from worker.method.breadth import breadth
 from worker.method.context_graph import GraphComparison
-from worker.method.hough import Doubles
 from worker.method.impostors import ImpostorEvidence
 from worker.method.places import Places
 from worker.method.score_fusion import Rows

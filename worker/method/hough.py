@@ -7,11 +7,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Floats
+from schemas.description import Doubles, Floats, Indices
 
-Indices = npt.NDArray[np.intp]
 Int32s = npt.NDArray[np.int32]
-Doubles = npt.NDArray[np.float64]
 Along = tuple[Doubles, Doubles]
 """Rows and columns of cells, from the grid's centre."""
 

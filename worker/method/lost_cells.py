@@ -10,14 +10,10 @@ corresponding positions and that of any.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Booleans, Floats
+from schemas.description import Booleans, Doubles, Floats, Indices
 from worker.method.cell_regions import Point, smoothed
 from worker.method.labels import label_map
-
-Doubles = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
 
 REACH = 0.05
 """How far around its expected position a cell is looked for, as a fraction of the longer side: room for parallax."""

@@ -10,12 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from worker.method.calibration import Calibration, Doubles, Logistic
-
-Booleans = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
+from schemas.description import Booleans, Doubles, Indices
+from worker.method.calibration import Calibration, Logistic
 
 FEWEST = 20
 """Labelled queries needed at least."""

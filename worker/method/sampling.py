@@ -1,11 +1,8 @@
 """Sampling of descriptors among static cells (paper, "Visual-Language Vocabulary": K remaining coordinates)."""
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Booleans
-
-Indices = npt.NDArray[np.intp]
+from schemas.description import Booleans, Indices
 
 
 def generator(seed: int, digest: str) -> np.random.Generator:

@@ -12,11 +12,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Booleans, Floats, Int8s, LocalFeatures
+from schemas.description import Booleans, Doubles, Floats, Int8s, LocalFeatures
 from schemas.errors import DescriptorMismatch
 
 Pairs = npt.NDArray[np.intp]
-Doubles = npt.NDArray[np.float64]
 
 RATIO = 0.8
 """Largest ratio of the distances to the best and to the second-best descriptor (Lowe 2004)."""

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from schemas.comparisons import KnownView
+from schemas.description import Indices
 from schemas.errors import Conflict, InvalidParameters, NotFound, ParameterError, Unavailable
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
@@ -16,7 +17,7 @@ from worker.description.describers import Describers
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
-from worker.method.own_calibration import Fitted, Indices, Labelled, OwnCalibration, calibrate, consecutive_blocks
+from worker.method.own_calibration import Fitted, Labelled, OwnCalibration, calibrate, consecutive_blocks
 from worker.method.positions import distance, is_known
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue

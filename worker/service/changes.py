@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from schemas.description import Doubles
 from schemas.errors import ImageNotKept, InvalidParameters
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
@@ -21,7 +22,7 @@ from worker.description.scheduler import Scheduler, field_alone
 from worker.images.changes import Mark, Side, changes_png
 from worker.method import changes, verification
 from worker.method.changes import Change, Changes
-from worker.method.lost_cells import Doubles, PhotoCells
+from worker.method.lost_cells import PhotoCells
 from worker.service.explanations import Explanations
 from worker.service.ports import Maps, Views
 from worker.service.renderings import refuse_forgotten

@@ -11,9 +11,9 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import sqlalchemy as sa
 
+from schemas.description import Doubles
 from schemas.records import Filters, Sequence64
 from schemas.values import spellings
 from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Predicate
@@ -40,9 +40,8 @@ KEPT_S = 600.0
 say that it changed attributes."""
 
 MOST_FURTHER = 2000
-"""Views enrolled since columns were last used that a query reads itself; where there are more, all are read anew."""
-
-Doubles = npt.NDArray[np.float64]
+"""A query itself adds up to this many views that were enrolled since the columns were last used. With more of them, the
+columns are read anew in the background."""
 
 METRES, GLOBE = ("x", "y"), ("globe_z", "globe_x", "globe_y")
 
