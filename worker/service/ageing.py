@@ -105,9 +105,9 @@ class AgeingPlaces:
         return [one for one in places if one is not None], MatchDays.of(scores)
 
     def _refreshed(self, name: str, place: _Place, within: float) -> _Place | None:
-        """A place by its days since its newest view was enrolled, if that was after the first of them.
+        """A place with the trend since its newest view was enrolled: scores of earlier days are of other views.
 
-        None where these are too few: days of before are scores of other views.
+        As it is where no view was enrolled since the trend began; None where too few days are left.
         """
         enrolled = self._newest(name, place, within)
         if enrolled is None or enrolled < place.trend.since:

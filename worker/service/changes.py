@@ -217,7 +217,7 @@ class ChangeService:
         return inliers, None if both is None else changes.find(both.then, both.now, both.transform, components)
 
     def _compare(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
-        """As compared before, where that was lately: photos of one id stay what they are."""
+        """The comparison of two photos; a recent one is used again, since the photo of an id never changes."""
         key = then.id, now.id, owner.description.id
         known = self._recent.get(key)
         if known is None:

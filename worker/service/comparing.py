@@ -37,12 +37,11 @@ PORTION = 8
 """Views compared at a time, whose comparisons are stored together."""
 
 WIDENED = 3
-"""How often a search is repeated because too many of its candidates show the view's own place, before it is made for
-twice as many each time."""
+"""A search whose candidates show the view's own place is repeated without these views: this often for the usual number
+of candidates, from then on for twice as many each time."""
 
 MOST_OWN = 4000
 """Views of its own place, found so, beyond which a view is not compared: reading them takes long."""
-
 
 Rest = Callable[[float], bool]
 """Sleeps for a number of seconds; returns whether it was woken, since a job of a map waits."""
@@ -153,7 +152,7 @@ class MapComparer:
     def _attempt(
         self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
     ) -> Comparison | None:
-        """As `_compare`; a view that cannot be compared is logged and left until the map is another.
+        """As `_compare`; a view that cannot be compared is logged, and left until the map changes.
 
         Raises
         ------

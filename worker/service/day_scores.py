@@ -1,4 +1,4 @@
-"""Scores of sure matches, gathered in memory and written down once a minute, aside of the queries."""
+"""Scores of sure matches, gathered in memory and written down once a minute, apart from the queries."""
 
 import logging
 import threading

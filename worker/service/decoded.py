@@ -26,7 +26,7 @@ class DecodedImages:
         self._lock = threading.Lock()
 
     def keep(self, image: Image) -> None:
-        """Keep an image, by its digest, if there is room: those that wait longer are wanted first."""
+        """Keep an image, by its digest, if there is room. None is dropped for it: earlier ones are used first."""
         with self._lock:
             if image.digest not in self._images and image.pixels.nbytes <= self._room:
                 self._images[image.digest] = image
@@ -41,7 +41,7 @@ class DecodedImages:
             return image
 
     def clear(self) -> None:
-        """Keep none: no image waits for its description."""
+        """Drop all images, once none waits for its description."""
         with self._lock:
             self._room += sum(image.pixels.nbytes for image in self._images.values())
             self._images.clear()

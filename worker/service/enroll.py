@@ -222,8 +222,10 @@ class EnrollService:
         return Accepted(submitted, began, expected_s, problem, timing_ms, refuses_poor and workers <= 1)
 
     def take(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Enrolled:
-        """Submit an image that a map kept of a query and somebody decided to take: not into a map that was deleted
-        meanwhile, which would come back, and whatever the map refuses by itself. Raises as `submit`."""
+        """Submit the image of a kept query that somebody decided to enrol; raises as `submit`.
+
+        A map that was deleted meanwhile is not made again, and the image is taken even where the map refuses poor ones.
+        """
         return self.outcome(self.submit(data, map_name, attributes, refuse_poor=False, makes_map=False))
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
@@ -265,7 +267,7 @@ class EnrollService:
                 raise PoorImage(detail)
             raise Cancelled(detail) if code == Cancelled.failure else RevisitError(detail)
         try:
-            return self._outcome(accepted, view)
+            return self._enrolled(accepted, view)
         except StorageFailed:
             if submitted.job_id is None:  # this call has stored nothing
                 raise
@@ -282,7 +284,7 @@ class EnrollService:
             timing_ms=timing_ms,
         )
 
-    def _outcome(self, accepted: Accepted, view: ViewRecord | None) -> Enrolled:
+    def _enrolled(self, accepted: Accepted, view: ViewRecord | None) -> Enrolled:
         """The outcome of an image that was taken; raises StorageFailed where it cannot be read."""
         submitted = accepted.submitted
         record = submitted.view if view is None else view

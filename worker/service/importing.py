@@ -170,10 +170,10 @@ class Importer:
     # what a run of a job does with one image
 
     def read(self, claim: MapClaim, item: Item, exif: frozenset[str], began: datetime | None) -> "_Read":
-        """An image, and its view in the map or else the decoded image; raises ValueError, RevisitError.
+        """Read an image, and find its view in the map, else decode it; raises ValueError, RevisitError.
 
-        What is wrong with an image is told too of those in the map since the job `began`, which an earlier run of it
-        may have enrolled.
+        An image whose view is in the map is examined too if it was enrolled since the job `began`: an earlier run of
+        the job may have enrolled it, and the report is made anew.
         """
         data = item.read()
         attributes = item.attributes
@@ -368,7 +368,7 @@ class _Describing(NamedTuple):
 class _Read:
     """An image that was read, with its view in the map or else decoded; and what is wrong with it, in words.
 
-    Of a view that was there before the job nothing is looked for.
+    Images of views that were there before the job are not examined: `problem` is None.
     """
 
     data: bytes

@@ -108,11 +108,12 @@ class Comparisons(Part):
     def keep(
         self, name: str, by: MapRecipe, comparisons: Sequence[Comparison], now: datetime, as_of: int | None = None
     ) -> None:
-        """Store comparisons; those of views that were deleted or described anew are left out, and all of them when the
-        map was deleted, or has another ranking by now than the one in `by`, whose scores they are made of, or when a
-        view was given to another place since the map's revision `as_of`.
+        """Store comparisons made by the recipe and ranking `by`; each one replaces what was stored of its view.
 
-        Those by the map's recipe count from its next revision on, those by the recipe of its shadow from the switch on.
+        Those of views that were deleted or described anew are left out. Nothing is stored when the map was deleted,
+        when its ranking by now gives other scores than that in `by`, or when attributes of its views were changed since
+        its revision `as_of`. Comparisons by the map's recipe count from its next revision on, those by the recipe of
+        its shadow from the switch on.
         """
         recipe = by.description.id
         with self._database.writing() as connection:

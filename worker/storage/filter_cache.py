@@ -26,14 +26,14 @@ from worker.storage.tables import MAPS, TOMBSTONES, VIEWS
 log = logging.getLogger("revisit")
 
 MOST_BYTES = 128 << 20
-"""Of all columns together; those of the map that was filtered least lately go first."""
+"""Bytes of all columns together; the columns of the map that was filtered least recently go first."""
 
 MOST_MAPS = 100
-"""Maps of which it is known since when their views' attributes stand."""
+"""Maps that are kept in mind, with or without columns; the one that was filtered least recently goes first."""
 
 SETTLED_S = 2.0
-"""Seconds for which no attribute of a map's views may have changed before columns are read: that takes longer than
-some filters in SQL."""
+"""Seconds without a change of attributes in a map before its columns are read: reading them takes longer than some
+filters in SQL, and the next change makes it useless."""
 
 KEPT_S = 600.0
 """Seconds after which columns are read anew: a process of an earlier version, which may run beside this one, does not
@@ -48,7 +48,7 @@ METRES, GLOBE = ("x", "y"), ("globe_z", "globe_x", "globe_y")
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """Columns of a map's views as of a revision and a newest view, None for one that is not to be had."""
+    """Columns of a map's views as of a revision and a newest view. None: the field has a number that is not exact."""
 
     revision: int
     newest: int
@@ -68,7 +68,10 @@ class _Known:
 
 @dataclass(eq=False)
 class _Held:
-    """What is known of a map whose views' attributes stand since the revision `edited`, first met at `since`."""
+    """The columns of one map.
+
+    Attributes of its views last changed at the revision `edited`, which was first seen at `since`, by a steady clock.
+    """
 
     edited: int
     since: float
@@ -112,7 +115,7 @@ class FilterCache:
             return self._size()
 
     def wait(self) -> None:
-        """Wait until what is being read is there."""
+        """Wait for the columns that are being read in the background."""
         with self._lock:
             reading = self._reading
         if reading is not None:
@@ -166,7 +169,7 @@ class FilterCache:
             return None
 
     def _of(self, of: sa.Row[Any]) -> _Held:
-        """What is held of a map; nothing yet of one whose views' attributes changed."""
+        """What is held of a map; begun anew when attributes of its views changed, or after `kept_s`."""
         now = time.monotonic()
         with self._lock:
             held = self._held.get(of.id)
@@ -178,7 +181,7 @@ class FilterCache:
             return held
 
     def _begin_reading(self, map_id: int, held: _Held, paths: Sequence[Path]) -> None:
-        """Read columns in the background, unless some are read or attributes changed a moment ago."""
+        """Read columns in the background, unless some are being read already or attributes changed a moment ago."""
         if self._reading is None and time.monotonic() - held.since >= self._settled_s:
             self._reading = threading.Thread(
                 target=self._read, args=(map_id, held, paths), name="revisit-filters", daemon=True
@@ -186,7 +189,7 @@ class FilterCache:
             self._reading.start()
 
     def _read(self, map_id: int, held: _Held, paths: Sequence[Path]) -> None:
-        """Read columns of a map, unless attributes changed; what goes wrong is left to the database to say."""
+        """Read columns of a map, unless attributes changed meanwhile. Errors are only logged: queries go on by SQL."""
         try:
             with self._database.reading() as connection:
                 of = connection.execute(sa.select(MAPS).where(MAPS.c.id == map_id)).one_or_none()
@@ -206,7 +209,7 @@ class FilterCache:
             self._reading = None
 
     def _keep_to_bound(self) -> None:
-        """Forget the maps that were filtered least lately, and of the last one the columns."""
+        """Forget the maps that were filtered least recently, and the columns of the last one that is left."""
         while self._size() > self._most_bytes:
             if len(self._held) > 1:
                 self._held.popitem(last=False)
@@ -220,9 +223,9 @@ class FilterCache:
 
 
 def _up_to(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known | None:
-    """What is known, up to the revision of a transaction: with what was enrolled, without what was deleted.
+    """What is known, brought to the revision of a transaction: with what was enrolled, without what was deleted.
 
-    None where so much was enrolled that all is to be read anew.
+    None where more than `MOST_FURTHER` views were enrolled.
     """
     newest = _newest(connection, of.id)
     if newest > known.newest:
@@ -261,7 +264,7 @@ def _without_gone(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> 
 
 
 def _with(connection: sa.Connection, of: sa.Row[Any], known: _Known | None, paths: Sequence[Path]) -> _Known:
-    """What is known as of a transaction's revision, and further columns."""
+    """What is known, with further columns as a transaction sees them."""
     found = {path: _column(connection, of.id, path) for path in paths}
     seqs = next((one[0] for one in found.values() if one is not None), None)
     columns = {path: None if one is None else one[1] for path, one in found.items()}

@@ -34,7 +34,7 @@ MICROSECOND = 1_000_000
 
 
 class NotExact(Exception):
-    """A field has a number that float64 does not: the database compares it."""
+    """A field has a number that float64 cannot hold exactly: the database has to compare it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +151,19 @@ Codes = npt.NDArray[np.int64]
 
 
 def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str], Codes | None, Codes, int]:
-    """All texts by code point, the codes that those of either list have among them, and the bytes of what is new.
+    """Merge two lists of texts that are sorted by code point.
 
-    Only what is new is sorted in: a field may have as many texts as there are views. None: the codes stay.
+    Only new texts are sorted in: a field may have as many texts as there are views.
+
+    Returns
+    -------
+    texts : sequence of str
+    known_codes : int64 of shape (known,), or None
+        The index in `texts` of each of `known`; None where these stay as they are.
+    other_codes : int64 of shape (others,)
+        The index in `texts` of each of `others`.
+    new_bytes : int
+        Memory of the texts that are only in `others`.
     """
     at = [bisect_left(known, text) for text in others]
     is_new = [not (place < len(known) and known[place] == text) for place, text in zip(at, others, strict=True)]
@@ -172,12 +182,12 @@ def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str],
 
 
 def _coded(codes: "npt.NDArray[np.int32] | None", to: Codes | None) -> "npt.NDArray[np.int32] | None":
-    """The codes that texts have in another list; -1 stays."""
+    """Codes translated by `to`, the new code of each old one; -1 stays, and None translates nothing."""
     return codes if codes is None or to is None else np.append(to, -1).astype(np.int32)[codes]
 
 
 def read(connection: sa.Connection, map_id: int, path: Path, after: int = 0) -> tuple[Sequence64, Column]:
-    """A field of a map's views behind the sequence number `after`, and their numbers, ascending; raises NotExact."""
+    """Sequence numbers, ascending, of a map's views behind `after`, and a field of these views; raises NotExact."""
     name = path[0] if path[0] in VIEWS.c else "metadata"
     wanted = sa.select(VIEWS.c.seq, VIEWS.c[name]).where(VIEWS.c.map_id == map_id, VIEWS.c.seq > after)
     rows = connection.execute(wanted.order_by(VIEWS.c.seq)).all()

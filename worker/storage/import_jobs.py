@@ -33,8 +33,8 @@ class ImportJobs(MapJobs):
     def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
         """Report the progress of an import and what came of it so far; raises LeaseLost, also when it was cancelled.
 
-        One that was resumed begins anew with what is there already: its progress is not told before it gets further,
-        and from then on the attempts count anew.
+        An import that was resumed goes through the images that are enrolled already once more. Until it gets further
+        than before, the stored progress stays; from then on its attempts are counted anew.
         """
         with self._database.writing(in_turn=False) as connection:
             job = held(connection, claim)
@@ -53,9 +53,9 @@ class ImportJobs(MapJobs):
             deleted_images.forget(connection, job.number)
 
     def is_imported(self, view_id: str) -> bool:
-        """Whether an import enrolled a view, so that nobody else was told of it; not so of one that is gone.
+        """Whether a view was enrolled by an import, so that no other call was told of it; False when the view is gone.
 
-        It is by the first job that describes it: those of imports are in the background from the start.
+        The first job that describes the view says so: jobs of imports are in the background from the start.
         """
         of = sa.select(VIEWS.c.seq).where(VIEWS.c.id == view_id).scalar_subquery()
         describes = sa.select(JOBS.c.background).where(JOBS.c.seq == of, JOBS.c.kind == "describe")

@@ -64,7 +64,7 @@ def _set_ranking(connection: sa.Connection, row: sa.Row[Any], change_of: Callabl
 def _changed_too(
     row: sa.Row[Any], following: MapRecipe, change_of: Callable[[MapRecipe], RankingConfig]
 ) -> RankingConfig:
-    """The changed ranking of the recipe that a map is changing over to, which may lack what the present one has."""
+    """The changed ranking for the recipe that a map changes over to; raises Conflict where that does not allow it."""
     try:
         return change_of(following)
     except InvalidParameters as error:

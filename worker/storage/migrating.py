@@ -31,19 +31,14 @@ def _config() -> Config:
 
 
 @cache
-def _revisions() -> tuple[str, ...]:
+def known() -> tuple[str, ...]:
     """All revisions that this version knows, newest first."""
     return tuple(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
 
 
-def known() -> tuple[str, ...]:
-    """All revisions that this version knows, newest first."""
-    return _revisions()
-
-
 def newest() -> str:
     """The revision of the tables that this version needs, such as ``0001``."""
-    return _revisions()[0]
+    return known()[0]
 
 
 def current(connection: sa.Connection) -> str | None:
@@ -60,7 +55,7 @@ def is_current(connection: sa.Connection) -> bool:
         The database was made by a newer version.
     """
     found = current(connection)
-    if found is not None and found not in _revisions():
+    if found is not None and found not in known():
         raise SetupError(
             f"the database has tables of revision {found}, which is newer than this version of revisit "
             f"({newest()}); run the newer version, or restore a snapshot made by this one"

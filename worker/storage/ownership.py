@@ -1,7 +1,8 @@
-"""Whose images lie at a place: to a database that is not theirs all of them look like what a crash left.
+"""Whose images lie at a place. To any other database they all look like what a crash left, and it would remove them.
 
-The place has a file with the id of the database that they were enrolled into. Another one, named by a mistake in
-REVISIT_DATABASE or REVISIT_IMAGES, or begun anew where a file was lost, is not served from there, and removes nothing.
+So the place has a file with the id of the database that the images were enrolled into. With another database, one named
+by mistake in REVISIT_DATABASE or REVISIT_IMAGES or begun anew because its file was lost, a service does not start, and
+nothing is removed.
 """
 
 import uuid
@@ -16,7 +17,7 @@ from worker.storage.tables import CLOCK, INSTALLATION, VIEWS
 
 
 def refuse_foreign(database: Database, images: ImageStore) -> None:
-    """Raise SetupError where the images at a place are of another database; where that is not known, they are not."""
+    """Raise SetupError where the images at a place are of another database; pass where that cannot be read."""
     try:
         owner = images.owner()
         with database.reading() as connection:
@@ -32,7 +33,7 @@ def refuse_foreign(database: Database, images: ImageStore) -> None:
 
 
 def is_own(database: Database, images: ImageStore) -> bool:
-    """Whether the images at a place are this database's, which takes a place that nobody has; logs if they are not.
+    """Whether the images at a place are this database's; logs if not. A place without an owner becomes this database's.
 
     Raises
     ------

@@ -181,9 +181,9 @@ class Removals(Part):
         return replace(self._receipt(portions, None, making), queries=queries)
 
     def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
-        """What the portions deleted, each as it was in its own transaction, and what snapshots have.
+        """Sum up what was deleted, portion by portion, and name the snapshots that still have some of it.
 
-        It is gone from the journal of the database too.
+        Empties the journal of the database first, where deleted rows would still stand.
         """
         self._database.scrub()
         digests = [digest for portion in portions for digest in portion.digests]
@@ -202,7 +202,7 @@ class Removals(Part):
         )
 
     def _remove(self, map_id: int, seqs: Sequence[int], answers: Answers, *, undoes: bool = False) -> "_Gone":
-        """Delete views of a map, and what `answers` that are kept tell of them, then the images that no view needs."""
+        """Delete views of a map and what the kept `answers` tell of them, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
             if undoes:
@@ -268,7 +268,7 @@ _DESCRIBED = (
 
 
 def _refuse_known(connection: sa.Connection, seqs: Sequence[int]) -> None:
-    """Raise Conflict where others were told of one of these views, or may have been: searches find described ones."""
+    """Raise Conflict where another call was told of one of these views, or may have been since searches find it."""
     if connection.scalar(sa.select(JOBS.c.id).where(JOBS.c.seq.in_(seqs), JOBS.c.told).limit(1)):
         raise Conflict("another call was told of this view")
     if connection.scalar(sa.select(VIEWS.c.id).where(VIEWS.c.seq.in_(seqs), VIEWS.c.state == "ready").limit(1)):

@@ -1,4 +1,4 @@
-"""Mends what an examination finds, as far as the folder itself has what that takes.
+"""Mends what an examination finds, as far as the content of the data folder allows.
 
 Nobody may use the folder meanwhile: repair holds its locks. A database whose pages are damaged is copied row by row
 into a new file; the old one is kept beside it. Then damaged rows are mended, removed where they are made again by

@@ -34,7 +34,7 @@ from worker.storage.snapshot_files import (
     VOCABULARY,
     SnapshotReader,
 )
-from worker.storage.snapshot_rows import attributes, description_rows, facts, read_comparisons, read_views
+from worker.storage.snapshot_rows import attributes, description_rows, image_facts, read_comparisons, read_views
 from worker.storage.tables import COMPARISONS, MAPS, VIEWS, VOCABULARIES
 
 TAKEN = "the map {!r} exists already; restore under another name (`as`), or delete that map first"
@@ -244,8 +244,11 @@ class _Restoration:
         )
 
     def _tell(self, connection: sa.Connection, **changed: object) -> None:
-        """Say that somebody is at work on the map; raises StorageFailed when others began to remove it, since nobody
-        had said so for minutes: they say it with another time."""
+        """Put off the time from which the map counts as given up.
+
+        Raises StorageFailed when that is no longer the time that this object stored: another process found the map
+        given up, and removes it.
+        """
         given_up_at = _given_up_at(connection)
         mine = MAPS.c.id == self.map_id, MAPS.c.given_up_at == self._given_up_at
         values = {"given_up_at": given_up_at, **changed}
@@ -303,7 +306,7 @@ class _Restoration:
             "map_id": self.map_id,
             "enrolled_at": view.enrolled_at,
             "elapsed_us": min(view.elapsed_us, self._ended_us) + self._shift_us,
-            **fact_columns(facts(view)),
+            **fact_columns(image_facts(view)),
             "sent_sha256": view.sent_sha256,
             **attribute_columns(said),
         }

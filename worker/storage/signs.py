@@ -2,8 +2,8 @@
 
 A copy has the id of the first database (see ownership.py): the images of both look like its own, and what was enrolled
 into the other one since looks like what a crash left. So each process counts in its database, now and then, and writes
-the count beside the images. A count there that is ahead of the database's was told by another one: by a service that
-goes on telling, or before this database was restored from a backup.
+the count beside the images. A count there that is ahead of the database's comes from a copy that is served and goes on
+counting, or from this database before it was restored from a backup.
 
 In an object store alone: a folder of images lies in a data folder, which has one service.
 """
@@ -30,7 +30,7 @@ EVERY_S = 60.0
 """Seconds between two signs of a process."""
 
 SILENT_S = 1.5 * EVERY_S
-"""Age from which a sign was the last one."""
+"""Age from which a sign counts as the last one of its process."""
 
 SLACK = 2
 """Counts that a database may lack whose server took over from another one that did not wait for it."""
@@ -53,13 +53,13 @@ class Sign(NamedTuple):
 
 
 class SignsOfLife:
-    """Gives those of this process.
+    """Gives the signs of life of this process.
 
     Parameters
     ----------
     database : Database
     files : ObjectFiles or None
-        None gives none.
+        Where images lie; None: in a folder, where no signs are needed.
     """
 
     def __init__(self, database: Database, files: "ObjectFiles | None") -> None:
@@ -100,9 +100,9 @@ def is_elsewhere(sign: Sign | None, connection: sa.Connection) -> bool:
 
 
 def refuse_copy(database: Database, files: "ObjectFiles | None", rest: Callable[[float], object] = time.sleep) -> None:
-    """Raise SetupError where another copy of a database works on its images; where that is not known, none does.
+    """Raise SetupError where another copy of a database works on its images; return where that cannot be read.
 
-    A database that was restored from a backup waits until the last sign of before is `SILENT_S` old.
+    A database that was restored from a backup waits until the last sign from before is `SILENT_S` old.
     """
     first: Sign | None = None
     while files is not None:

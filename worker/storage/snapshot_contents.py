@@ -15,10 +15,10 @@ from worker.storage.rows import log
 from worker.storage.snapshot_places import SnapshotPlace
 
 BEGINNING = 8
-"""Bytes of each SHA-256 that are remembered: of a billion images two begin alike with a probability of .03."""
+"""Bytes of each SHA-256 that are remembered. Among a billion images, two begin alike with a probability of 0.03."""
 
 MOST_BYTES = 128 << 20
-"""Of all contents that are remembered: 160 snapshots of 100,000 views. Of others each deletion reads them anew."""
+"""Bytes of all contents that are remembered: 160 snapshots of 100,000 views. Each deletion reads further ones anew."""
 
 UNKNOWN = "unknown"
 """In place of an id, where an object store does not tell which snapshots there are."""

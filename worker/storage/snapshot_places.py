@@ -33,18 +33,18 @@ class SnapshotPlace(Protocol):
         ...
 
     def keep(self, draft: Path, snapshot_id: str, tell: Callable[[], None]) -> None:
-        """Keep one durably that was written; what it had under this id is replaced.
+        """Keep a written draft durably, in place of any earlier file of this id.
 
-        `tell` is called now and then while it is sent: what it raises ends that.
+        `tell` is called now and then while the file is sent: what it raises ends the sending.
         """
         ...
 
     def ids(self) -> list[str]:
-        """Of all that are kept."""
+        """The ids of all snapshots that are kept."""
         ...
 
     def facts(self, snapshot_id: str) -> tuple[SnapshotFacts, int]:
-        """What one is, and its bytes; raises BadSnapshot."""
+        """What a snapshot is, and the size of its file in bytes; raises BadSnapshot."""
         ...
 
     def stamp(self, snapshot_id: str) -> tuple[int, ...]:
@@ -52,15 +52,15 @@ class SnapshotPlace(Protocol):
         ...
 
     def digests(self, snapshot_id: str) -> frozenset[bytes]:
-        """SHA-256 of the images of all views of one; raises BadSnapshot."""
+        """SHA-256 of the images of all views of a snapshot; raises BadSnapshot."""
         ...
 
     def open(self, snapshot_id: str) -> BinaryIO:
-        """The file of one, for reading."""
+        """The file of a snapshot, for reading."""
         ...
 
     def remove(self, snapshot_id: str) -> None:
-        """Remove one."""
+        """Remove the file of a snapshot."""
         ...
 
 

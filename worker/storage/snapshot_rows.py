@@ -43,9 +43,9 @@ class WrittenView(NamedTuple):
 
 
 def first_elapsed(connection: sa.Connection, map_id: int) -> int:
-    """The elapsed time that is 0 in a map's snapshot: where it is negative, that of the map's first view.
+    """The elapsed time (microseconds) from which a snapshot counts: 0, or that of the map's first view if negative.
 
-    Of a view that was restored it may be (see `restoring.py`), and snapshots have no negative ones.
+    Restored views may have negative elapsed times (see `restoring.py`); snapshots have none.
     """
     least = connection.scalar(sa.select(sa.func.min(VIEWS.c.elapsed_us)).where(VIEWS.c.map_id == map_id))
     return min(0, int(least or 0))
@@ -236,8 +236,8 @@ def attributes(view: SnapshotView) -> ViewAttributes:
     return ViewAttributes(view.place, position, view.captured_at, view.metadata, view.filename)
 
 
-def facts(view: SnapshotView) -> ImageFacts:
-    """Of the image of a view."""
+def image_facts(view: SnapshotView) -> ImageFacts:
+    """The facts of the image of a view."""
     return ImageFacts(view.width, view.height, view.byte_count, view.format, view.sha256)
 
 

@@ -43,8 +43,8 @@ class Space:
     def admit(self, size: int, *, image: bool = False) -> None:
         """Raise DiskFull unless `size` bytes may be added.
 
-        While there is no room for an `image`, `problem` says so: nothing can be enrolled. A file that is refused, such
-        as a snapshot that would be restored, may be of any size, and tells nothing of what else is kept.
+        While there is no room for an `image`, `problem` says so: nothing can be enrolled. Any other file that is
+        refused, such as a snapshot to restore, may be so large that enrolments still fit.
         """
         for folder in self._folders:
             if self._reserve and self._available(folder) < 2 * self._reserve + size:
@@ -69,7 +69,7 @@ class Space:
         return None
 
     def refused(self) -> bool:
-        """Whether nothing more can be written: the disk is full, or a quota, which its free space does not tell."""
+        """Whether nothing more can be written: the disk is full, or a quota used up, which free space does not show."""
         return any(_refuses(folder) for folder in self._folders)
 
     def give_up(self) -> bool:

@@ -22,7 +22,7 @@ class Digest(Protocol):
 
 
 class UncachedFile:
-    """A new file that is written from its beginning to its end; on file systems that know only their cache, through it.
+    """A new file that is written from its beginning to its end, past the cache where the file system can do that.
 
     Parameters
     ----------
