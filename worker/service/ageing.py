@@ -44,8 +44,9 @@ class _Place:
 
 
 class AgeingPlaces:
-    """Finds places that age, and those that are never matched. What days say is kept until there is another day of a
-    view; the proposals are read each time.
+    """Finds places that age, and those that are never matched.
+
+    Trends are kept until a view is matched on another day; the proposals are read each time.
 
     Parameters
     ----------

@@ -61,8 +61,8 @@ class ComparisonStore(ComparisonReader, Protocol):
     def keep(
         self, name: str, by: MapRecipe, comparisons: list[Comparison], now: datetime, as_of: int | None = None
     ) -> None:
-        """Store comparisons, unless the map no longer scores by this recipe and ranking, or views of it were given to
-        other places since its revision `as_of`."""
+        """Store comparisons, unless the map no longer scores by this recipe and ranking, or attributes of its views
+        were changed since its revision `as_of`."""
         ...
 
 

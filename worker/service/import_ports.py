@@ -75,7 +75,7 @@ class ImportJobs(Protocol):
         ...
 
     def is_imported(self, view_id: str) -> bool:
-        """Whether an import enrolled a view, so that nobody else was told of it; not so of one that is gone."""
+        """Whether a view was enrolled by an import, so that no other call was told of it; False when it is gone."""
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
