@@ -186,6 +186,15 @@ def test_a_service_counts_again_once_its_connection_was_ended(server: Server, da
         assert not alone(other)
 
 
+def test_a_pooler_by_transaction_is_refused(server: Server, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind one each service took itself for the only one, and prepared statements of others were its own."""
+    url = sa.make_url(server.url).set(drivername="postgresql+psycopg")
+    engine = sa.create_engine(url, poolclass=sa.pool.StaticPool)
+    monkeypatch.setattr(dialect, "make_engine", lambda url: engine)
+    with pytest.raises(SetupError, match="pool by session"):
+        open_store(server.url, data)
+
+
 def test_one_that_left_or_never_joined_does_not_count(server: Server, data: Path) -> None:
     with opened(server, data) as store, closing(open_store(server.url, data / "other")) as worker:
         worker.tend()

@@ -1,7 +1,7 @@
 """Notices among the processes of one PostgreSQL database (LISTEN and NOTIFY): there is work, a view is settled.
 
 A notice saves its receiver the wait until it looks again, and nothing else: whoever misses one finds the same in the
-database when it polls. So a lost connection, or a pooler that carries no notices, costs time and loses nothing.
+database when it polls. So a lost connection costs time and loses nothing.
 """
 
 import logging

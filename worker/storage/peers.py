@@ -11,6 +11,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
+from schemas.errors import SetupError
 from worker.storage import dialect
 from worker.storage.again import RolledBack
 from worker.storage.database import Database
@@ -98,6 +99,27 @@ def image_lock(database: Database, data: Path) -> ImageLock:
                     transaction.rollback()
 
     return by_file if dialect.is_file(database.engine) else by_server
+
+
+POOLED = (
+    "connections to the database server are handed from one transaction to the next, by a pooler in between: locks, "
+    "settings and prepared statements of this service would be another's; have it pool by session, or name the server "
+    "itself in REVISIT_DATABASE"
+)
+
+
+def refuse_pooler(database: Database) -> None:
+    """Raise SetupError where two connections that are open at a time are one of PostgreSQL, as far as that is seen:
+    locks that a connection holds between transactions tell services of each other."""
+    if dialect.is_file(database.engine):
+        return
+    with database.open() as one, database.open() as other:
+        served_by = []
+        for connection in (one, other):
+            served_by.append(connection.scalar(sa.text("SELECT pg_backend_pid()")))
+            connection.rollback()
+    if served_by[0] == served_by[1]:
+        raise SetupError(POOLED)
 
 
 def is_served(connection: sa.Connection) -> bool:

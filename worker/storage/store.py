@@ -27,7 +27,7 @@ from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
 from worker.storage.notices import Notices
 from worker.storage.ownership import is_own, refuse_foreign
-from worker.storage.peers import Peers
+from worker.storage.peers import Peers, refuse_pooler
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
 from worker.storage.restoring import Restoring
@@ -258,6 +258,7 @@ def open_store(
         # First, so that no lock is held if it fails.
         data.mkdir(parents=True, exist_ok=True)
         place = open_images(database, data, images)
+        refuse_pooler(database)
         lost = _log_fault(database)  # before SQLite reads the log and takes what it cannot read for never written
         share = enter(database, data, may_migrate=migrates_by_itself(database))
         database.space = Space(_folders(database, data), reserve_bytes)
