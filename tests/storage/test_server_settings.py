@@ -139,6 +139,15 @@ def test_a_right_that_was_taken_away_is_told(server: Server, data: Path) -> None
             store.views.get(view.id)
 
 
+def test_a_user_who_may_not_make_tables_is_told_which_right_is_missing(server: Server, data: Path) -> None:
+    """Since PostgreSQL 15 nobody but its owner may in the schema ``public`` of a database."""
+    schema = server.run("SELECT current_schema()").scalar()
+    server.run(f"ALTER ROLE {server.user} NOSUPERUSER")
+    server.run(f"GRANT USAGE ON SCHEMA {schema} TO {server.user}")
+    with pytest.raises(SetupError, match=f"permission denied for schema {schema}.*grant that"):
+        open_store(server.url, data)
+
+
 def test_a_full_disk_of_the_server_is_not_told_to_be_emptied_by_deletions(server: Server, data: Path) -> None:
     with opened(server, data) as store:
         view = enroll(store, "gate").view

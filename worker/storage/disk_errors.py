@@ -74,6 +74,13 @@ def problem_of(error: BaseException, what: str, *, sent: bool = True) -> Revisit
     return None
 
 
+def lacking_right(error: BaseException) -> str | None:
+    """What PostgreSQL said of a right that the user lacks, for whoever runs the service, of an error of `problem_of`;
+    None for other errors."""
+    said = getattr(getattr(error.__cause__, "orig", None), "diag", None)
+    return str(said.message_primary) if said is not None and said.sqlstate == "42501" else None
+
+
 @contextmanager
 def translated(what: str, *, sent: bool = True) -> Iterator[None]:
     """Raise errors of the disk and of the database inside the block as DiskFull, StorageFailed or Damaged.

@@ -16,6 +16,7 @@ from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
 from worker.storage.day_scores import DayScores
 from worker.storage.descriptions import Descriptions
+from worker.storage.disk_errors import lacking_right
 from worker.storage.enrolment import Enrolment
 from worker.storage.image_store import ImageStore, open_images
 from worker.storage.kept_queries import KeptQueries
@@ -277,6 +278,11 @@ def open_store(
         ) from error
     except RevisitError as error:
         database.close()
+        if (said := lacking_right(error)) is not None:
+            raise SetupError(
+                f"the user of REVISIT_DATABASE may not use the database as revisit does ({said}); have its owner "
+                "grant that, or make the user its owner"
+            ) from error
         raise SetupError(f"{error.detail}; see REVISIT_DATA and REVISIT_DATABASE") from error
     except OSError as error:
         database.close()

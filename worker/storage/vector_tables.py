@@ -16,6 +16,7 @@ import sqlalchemy as sa
 from schemas.errors import SetupError, StorageFailed
 from worker.storage.columns import UtcDateTime
 from worker.storage.database import Database
+from worker.storage.disk_errors import lacking_right
 from worker.storage.tables import VECTORS
 
 EXTENSION = "vector"
@@ -156,12 +157,12 @@ def _make(database: Database) -> str | None:
                     connection.execute(sa.text(statement))
             return _installed(connection)
     except StorageFailed as error:
-        said = getattr(getattr(error.__cause__, "orig", None), "diag", None)
-        if said is None or said.sqlstate != "42501":  # insufficient privilege
+        said = lacking_right(error)
+        if said is None:
             raise
         raise SetupError(
             f"REVISIT_INDEX=pgvector: {lacking or 'its tables are missing'}, and the user of REVISIT_DATABASE may not "
-            f"({said.message_primary}); have an owner of the database do it once"
+            f"({said}); have an owner of the database do it once"
         ) from error
 
 
