@@ -55,6 +55,12 @@ def opened(server: Server, data: Path) -> "closing[SqlStore]":
     return closing(open_store(server.url, data))
 
 
+def test_a_url_as_hosts_of_databases_give_it_is_one_of_postgresql(server: Server, data: Path) -> None:
+    with closing(open_store(server.url.replace("postgresql://", "postgres://"), data)) as store:
+        view = enroll(store, "gate").view
+        assert store.views.get(view.id) == view
+
+
 @pytest.mark.parametrize(("is_set", "holds"), [("off", "on"), ("local", "local"), ("remote_apply", "remote_apply")])
 def test_what_is_acknowledged_is_durable_also_where_the_server_would_not_wait(
     server: Server, data: Path, is_set: str, holds: str

@@ -80,7 +80,7 @@ def make_engine(url: str) -> sa.Engine:
     Parameters
     ----------
     url : str
-        ``sqlite:///...`` with a file, or ``postgresql://...``.
+        ``sqlite:///...`` with a file, or ``postgresql://...``; ``postgres://...`` is the same.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def make_engine(url: str) -> sa.Engine:
         parsed = sa.make_url(url)
     except (sa.exc.ArgumentError, ValueError):  # ValueError: of a port that is no number
         raise SetupError(f"REVISIT_DATABASE: {without_password(url)!r} is not a database URL") from None
-    if parsed.get_backend_name() == "postgresql":
+    if parsed.get_backend_name() in ("postgresql", "postgres"):  # libpq takes either
         return _postgresql(parsed)
     if parsed.get_backend_name() == "sqlite" and parsed.database not in (None, "", ":memory:"):
         return _sqlite(parsed)
