@@ -286,6 +286,23 @@ def test_a_job_whose_end_could_not_be_stored_leaves_no_snapshot(
     assert store.snapshots.all() == []
 
 
+def test_one_that_is_deleted_while_they_are_listed_is_told_as_no_error(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    filled(store)
+    store.snapshots.make("campus", JOB, NOW, lambda *_: None)
+    ids = store.snapshots._place.ids
+
+    def deleted_then() -> list[str]:
+        named = list(ids())
+        store.snapshots.delete(JOB)
+        return named
+
+    monkeypatch.setattr(store.snapshots._place, "ids", deleted_then)
+    assert store.snapshots.all() == []
+    assert caplog.records == []
+
+
 @pytest.mark.parametrize("when", ["while it is read", "while it is told", "before its end", "at its end"])
 def test_a_snapshot_is_begun_anew_where_the_database_is_away_for_a_moment(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch, when: str
