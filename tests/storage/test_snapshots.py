@@ -303,6 +303,15 @@ def test_one_that_is_deleted_while_they_are_listed_is_told_as_no_error(
     assert caplog.records == []
 
 
+def test_a_file_of_another_name_is_told(store: SqlStore, data: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As one that somebody copied there: no call could name it."""
+    filled(store)
+    store.snapshots.make("campus", JOB, NOW, lambda *_: None)
+    (data / "snapshots" / f"{JOB}.snapshot").rename(data / "snapshots" / "campus.snapshot")
+    assert store.snapshots.all() == []
+    assert "snapshot campus is left out of the list" in caplog.text
+
+
 @pytest.mark.parametrize("when", ["while it is read", "while it is told", "before its end", "at its end"])
 def test_a_snapshot_is_begun_anew_where_the_database_is_away_for_a_moment(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch, when: str

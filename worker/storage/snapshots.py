@@ -174,9 +174,9 @@ class Snapshots(Part, again=False):
         for snapshot_id in kept:
             try:
                 records.append(self.get(snapshot_id))
-            except NotFound:
-                continue  # it was deleted meanwhile
-            except BadSnapshot as error:
+            except (BadSnapshot, NotFound) as error:
+                if isinstance(error, NotFound) and _ID.fullmatch(snapshot_id):
+                    continue  # it was deleted meanwhile
                 log.error("snapshot %s is left out of the list: %s", snapshot_id, error.detail)
         return sorted(records, key=lambda record: (record.facts.created_at, record.facts.id), reverse=True)
 
