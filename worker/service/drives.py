@@ -230,7 +230,7 @@ def _led(
         reason=TOGETHER if sure else LEANING,
         places=places,
         confidences=confidences(places),
-        weights=tuple(probability.get(view.seq, 0.0) for view in views),
+        weights=tuple(probability.get(int(results.ranking.seqs[i]), 0.0) for i in order),
     )
     rival = views[places[1].views[0]] if len(places) > 1 else None
     driven = replace(driven, posterior=places[: len(driven.posterior)])
