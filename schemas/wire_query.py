@@ -138,9 +138,9 @@ class Reason(Answer):
 
     code: Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"] = Field(
         description="sure: one place stands out (with `consistent` and another status: too few images agree so far); "
-        "look-alike: another place is nearly as good; weak: nothing stands out from what wrong places get in this map; "
-        "few-views: too little is enrolled to tell; poor-picture: the image shows too little; empty: there was nothing "
-        "to search."
+        "look-alike: another place is nearly as good; weak: nothing stands out from what wrong places get in this map, "
+        "or not enough; few-views: too little is enrolled to tell; poor-picture: the image shows too little; empty: "
+        "there was nothing to search."
     )
     detail: str = Field(description="What was seen.")
     remedy: str = Field(description="What to do.")

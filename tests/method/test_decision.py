@@ -293,6 +293,15 @@ def test_who_wants_more_precision_gets_matched_less_often() -> None:
     assert decided(scores, precision=0.999).status == "ambiguous"
 
 
+def test_what_stands_out_too_little_for_the_precision_is_not_said_to_stand_out_from_nothing() -> None:
+    scores = [0.35, *([0.2] * 30)]
+    elsewhere = MapLevels(1000, 0.6, 0.08, 1000)
+    almost, nothing = decided(scores, precision=0.999), decided([0.6, 0.5, 0.49], levels=elsewhere)
+    assert (almost.reason.code, nothing.reason.code) == ("weak", "weak")
+    assert "not as sure as the precision asks for" in almost.reason.detail
+    assert nothing.reason.detail.startswith("no place stands out")
+
+
 def test_a_map_with_one_place_never_says_ambiguous() -> None:
     status = {decided([score, score], named("home", "home")).status for score in np.linspace(0, 1, 101)}
     assert status == {"matched", "no_match"}

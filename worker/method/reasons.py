@@ -18,8 +18,9 @@ class Reason:
     Parameters
     ----------
     code : str
-        ``sure``; ``look-alike``: another place is as good; ``weak``: nothing stands out from what wrong places get;
-        ``few-views``: too little is enrolled to tell; ``poor-picture``; ``empty``: there was nothing to search.
+        ``sure``; ``look-alike``: another place is as good; ``weak``: nothing stands out from what wrong places get,
+        or not enough; ``few-views``: too little is enrolled to tell; ``poor-picture``; ``empty``: there was nothing to
+        search.
     detail, remedy : str
         What was seen, and what to do.
     """
@@ -38,6 +39,11 @@ OF_NO_PLACE = Reason(
     "the first place stands out from the others, but hardly from pictures that show no place, such as a wall close by, "
     "the sky, or a page of text",
     "take the photo so that more of the place shows",
+)
+NOT_SO_SURE = Reason(
+    "weak",
+    "the first place stands out from what wrong places get in this map, but is not as sure as the precision asks for",
+    "send another image; to be sure here, enrol the place from here and in this light too",
 )
 SURE = Reason("sure", "one place stands out from all others", "nothing")
 
@@ -72,6 +78,8 @@ def reason_for(status: Verdict, *, outrivalled: bool, of_no_place: bool, searche
             f"only {searched} view{'s' * (searched != 1)} could be searched: too few to tell what a wrong place gets",
             "enrol more views, of this place and of others",
         )
+    if status == "ambiguous":
+        return NOT_SO_SURE
     return Reason(
         "weak",
         "no place stands out from what wrong places get in this map",
