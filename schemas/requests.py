@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from schemas.blur import MOST_WORDS
 from schemas.shadow import MOST_QUERIES
@@ -88,13 +88,18 @@ class PatchMap(BaseModel):
     )
 
 
+def _whole_turn(given: Any) -> Any:
+    """A position with a heading of 360 degrees as 0, as enrolments take it; anything else as it is."""
+    return {**given, "heading": 0} if isinstance(given, dict) and given.get("heading") == 360 else given
+
+
 class PostUnknown(BaseModel):
     """The name of an unknown place, and where it is."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     place: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Your own name for the place.")
-    position: Position | None = None
+    position: Annotated[Position | None, BeforeValidator(_whole_turn)] = None
 
 
 class PostProposal(BaseModel):

@@ -91,11 +91,11 @@ def test_a_place_seen_thrice_is_named_once_and_known_from_then_on(town: Town) ->
     image = town.client.get(dock["links"]["image"])
     assert (image.status_code, image.headers["content-type"]) == (200, "image/jpeg")
 
-    named = town.client.post(
-        f"/maps/town/unknown/{dock['id']}", json={"place": "dock", "position": {"x": 4.0, "y": 5.0}}
-    ).json()
+    at = {"x": 4.0, "y": 5.0, "heading": 360}  # what is left of next to nothing below 0 by `% 360`
+    named = town.client.post(f"/maps/town/unknown/{dock['id']}", json={"place": "dock", "position": at}).json()
     assert named["queries"] == 3
-    assert [(view["place"], view["position"]["x"]) for view in named["views"]] == [("dock", 4.0)] * 3
+    given = [(view["place"], view["position"]["x"], view["position"]["heading"]) for view in named["views"]]
+    assert given == [("dock", 4.0, 0.0)] * 3
     for view in named["views"]:
         assert town.client.get(view["links"]["image"]).status_code == 200
     wait_until_described(town, 8)
