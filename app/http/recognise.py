@@ -9,7 +9,7 @@ from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 
-from app.http import enrolment_presenters, presenters
+from app.http import enrolment_presenters, query_presenters
 from app.http.long_work import LongWork
 from app.http.waiter import settled
 from schemas import wire
@@ -128,6 +128,6 @@ class Recogniser:
         """Rank the views of some maps that may show the place of an image; raises as `QueryService.query`."""
         query = partial(self._query.query, image, *maps, options=options, caller=caller)
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
-        answer = presenters.query_answer(result)
+        answer = query_presenters.query_answer(result)
         self._tell(answer)
         return answer
