@@ -50,7 +50,7 @@ def test_an_import_ends_the_rest_between_comparisons(tmp_path: Path, monkeypatch
             woken.set()
         return True
 
-    monkeypatch.setattr("worker.runtime.idle_work", lambda *_: compare)
+    monkeypatch.setattr("worker.runtime.building.idle_work", lambda *_: compare)
     runtime = build(settings(tmp_path))
     runtime.start()
     try:

@@ -67,7 +67,7 @@ def decoder() -> CountingDecoder:
 
 @pytest.fixture
 def runtime(tmp_path: Path, decoder: CountingDecoder, monkeypatch: pytest.MonkeyPatch) -> Iterator[Runtime]:
-    monkeypatch.setattr("worker.runtime.make_decoder", lambda settings: decoder)
+    monkeypatch.setattr("worker.runtime.parts.make_decoder", lambda settings: decoder)
     runtime = build(settings(tmp_path, compare=False))
     runtime.start()
     yield runtime
