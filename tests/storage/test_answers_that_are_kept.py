@@ -16,7 +16,7 @@ from tests.storage.carried import views
 from tests.storage.material import NOW, describe_all, enroll
 from tests.storage.test_receipts import answer, answered, repeated
 from worker.storage import answers, removals
-from worker.storage.answers import SINCE_CHANGED, SINCE_DELETED, Answers
+from worker.storage.answers import SINCE_CHANGED, SINCE_DELETED, StoredAnswers
 from worker.storage.removals import Removals
 from worker.storage.store import SqlStore
 from worker.storage.tables import CALLS
@@ -121,7 +121,7 @@ def test_a_deletion_that_breaks_off_and_is_finished_later_leaves_no_answer(
     monkeypatch.setattr(answers, "FEW", few)
     remove, left = Removals._remove, [1]
 
-    def breaking(self: Removals, map_id: int, seqs: Sequence[int], answers: Answers) -> Any:
+    def breaking(self: Removals, map_id: int, seqs: Sequence[int], answers: StoredAnswers) -> Any:
         if not left:
             raise StorageFailed("away")
         left.pop()
@@ -162,7 +162,7 @@ def test_a_call_that_ends_during_a_deletion_tells_nothing_of_what_goes_next(
     portions.calls.begin("running", "print", datetime.now(UTC))
     remove = Removals._remove
 
-    def slow(self: Removals, map_id: int, seqs: Sequence[int], answers: Answers) -> Any:
+    def slow(self: Removals, map_id: int, seqs: Sequence[int], answers: StoredAnswers) -> Any:
         gone = remove(self, map_id, seqs, answers)
         for key in list(late):
             if key == "begun":
@@ -180,8 +180,8 @@ def test_all_answers_are_read_once_for_a_deletion_in_portions(
 ) -> None:
     """What a day of calls leaves may be hundreds of megabytes."""
     monkeypatch.setattr(answers, "FEW", 0)
-    named = Mock(side_effect=answers.named)
-    monkeypatch.setattr(answers, "named", named)
+    named = Mock(side_effect=answers.ids_in)
+    monkeypatch.setattr(answers, "ids_in", named)
     portions.removals.delete_views("campus", Filters())
     assert named.call_count == 6
     with portions._database.reading() as connection:

@@ -20,7 +20,7 @@ from tests.storage.material import NOW, RECIPE, describe_all, enroll
 from tests.waiting import until
 from worker.service.maps import MapService
 from worker.storage import clock, removals
-from worker.storage.answers import Answers
+from worker.storage.answers import StoredAnswers
 from worker.storage.database import Database
 from worker.storage.removals import Removals
 from worker.storage.restoring import _Restoration
@@ -174,7 +174,7 @@ def test_a_restoration_that_others_have_begun_to_remove_gets_no_name(
     finish, remove = _Restoration.finish, Removals._remove
     begun, named = threading.Event(), threading.Event()
 
-    def slow(self: Removals, map_id: int, seqs: Sequence[int], answers: Answers) -> Any:
+    def slow(self: Removals, map_id: int, seqs: Sequence[int], answers: StoredAnswers) -> Any:
         begun.set()
         named.wait(60)
         return remove(self, map_id, seqs, answers)
@@ -205,7 +205,7 @@ def test_a_long_deletion_is_left_to_who_began_it_and_the_receipt_names_all_of_it
     remove = Removals._remove
     with time_machine.travel(datetime.now(UTC)) as travelling:
 
-        def slow(self: Removals, map_id: int, seqs: Sequence[int], answers: Answers) -> Any:
+        def slow(self: Removals, map_id: int, seqs: Sequence[int], answers: StoredAnswers) -> Any:
             gone = remove(self, map_id, seqs, answers)
             if threading.current_thread() is threading.main_thread():
                 travelling.shift(timedelta(minutes=6))

@@ -1,8 +1,8 @@
-"""What the answers to calls with an Idempotency-Key, which are kept to be repeated, tell of views.
+"""Stored answers to calls with an Idempotency-Key, kept up to date with the views that they name.
 
-Of a deleted view they tell nothing but its id, of a changed one what it has now. Whoever deletes or changes a view sees
-to the answers that are kept, in its own transaction; a call that ends sees to its own. All of them write in turn, so
-that no answer is missed between them.
+A stored answer says nothing of a deleted view but its id, and gives a changed view the attributes that it has now. A
+transaction that deletes or changes views rewrites the stored answers that name them; a transaction that stores an
+answer first brings it up to date. All of them write in turn, so that no answer is missed between them.
 """
 
 import json
@@ -23,39 +23,39 @@ from worker.storage.rows import as_json, attributes_of, batches, has_whole_attri
 from worker.storage.tables import CALLS, VIEWS
 
 FEW = 8
-"""Deleted views up to which the database looks for their ids; for more all answers are read once."""
+"""Up to this many views the database looks for each id in the answers; for more, all answers are read once."""
 
 LATE = timedelta(minutes=5)
-"""By how much the recorded start of a call may be too early: the call waited for its turn, or another clock gave it."""
+"""How much too early the recorded start of a call may be: it waited for its turn, or another clock gave the time."""
 
 DELETED: Mapping[str, Any] = {
     "place": None, "position": None, "captured_at": None, "metadata": {}, "filename": None, "description": None,
 }  # fmt: skip
-"""What a view that was deleted has in an answer that is repeated."""
+"""Fields that a deleted view has in a stored answer."""
 
 SINCE_DELETED = "it concerned a view that was deleted since"
 
 SINCE_CHANGED = "it concerned a view whose attributes were changed since"
 
-Now = Mapping[str, ViewAttributes | None]
-"""What views have now, by their ids; None: they were deleted."""
+CurrentAttributes = Mapping[str, ViewAttributes | None]
+"""The attributes that views have now, by their ids; None: the view was deleted."""
 
 _ID = re.compile("[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 _VIEW = re.compile(f"(?:view |view '|views/|as )({_ID.pattern})")
-"""A view in words, where an id may also be the name of a map or a file."""
+"""A view that a sentence names. Other ids in it may be names of maps or files."""
 
 
-class Answers:
-    """Answers that are kept and tell of some views, found before these are changed, or deleted in portions.
+class StoredAnswers:
+    """The stored answers that name some views, found before these views are changed, or deleted in portions.
 
-    The answers of a whole day are searched once, outside of any writing transaction. A transaction that calls `tell` or
-    `forget` searches only those of calls that ended since.
+    All stored answers, those of a whole day, are searched once, outside of any writing transaction. The transaction
+    that calls `update` or `forget` searches only those that were stored since.
 
     Parameters
     ----------
     database : Database
     views : collection of str
-        Their ids.
+        Ids of the views.
 
     Raises
     ------
@@ -64,31 +64,31 @@ class Answers:
 
     def __init__(self, database: Database, views: Collection[str]) -> None:
         views = set(views)
-        self._telling: dict[str, list[str]] = defaultdict(list)
+        self._keys: dict[str, list[str]] = defaultdict(list)
         with database.reading() as connection:
             self._since = min(datetime.now(UTC), clock.shared_time(connection)) - LATE
             self._running = list(connection.scalars(sa.select(CALLS.c.key).where(CALLS.c.finished_at.is_(None))))
-            for key, named in _telling(connection, views):
+            for key, named in _naming(connection, views):
                 for view in named:
-                    self._telling[view].append(key)
+                    self._keys[view].append(key)
 
     def forget(self, connection: sa.Connection, views: Collection[str]) -> None:
         """Leave nothing of views but their ids in the answers, in the writing transaction that deletes these views."""
-        self.tell(connection, dict.fromkeys(views))
+        self.update(connection, dict.fromkeys(views))
 
-    def tell(self, connection: sa.Connection, views: Now) -> None:
-        """Rewrite the answers to say what views have now, in the writing transaction that changes these views."""
-        keys = {key for view in views for key in self._telling.get(view, ())}
+    def update(self, connection: sa.Connection, views: CurrentAttributes) -> None:
+        """Rewrite the answers to have what views have now, in the writing transaction that changes these views."""
+        keys = {key for view in views for key in self._keys.get(view, ())}
         since = [CALLS.c.begun_at >= self._since]
         since += [CALLS.c.key.in_(portion) for portion in batches(self._running)]
         for ended in since:
-            keys |= {key for key, _ in _telling(connection, set(views), ended)}
+            keys |= {key for key, _ in _naming(connection, set(views), ended)}
         for portion in batches(keys):
-            _retell(connection, portion, views)
+            _update(connection, portion, views)
 
 
-def as_now(connection: sa.Connection, body: bytes, ids: Collection[str]) -> bytes:
-    """An answer that is about to be kept, with what the views that it names have now; `ids`: see `named`."""
+def current(connection: sa.Connection, body: bytes, ids: Collection[str]) -> bytes:
+    """An answer that is about to be stored, with what the views that it names have now; `ids` are those of `ids_in`."""
     now: dict[str, ViewAttributes | None] = dict.fromkeys(ids)
     for portion in batches(ids):
         for row in connection.execute(sa.select(VIEWS).where(VIEWS.c.id.in_(portion))):
@@ -96,16 +96,16 @@ def as_now(connection: sa.Connection, body: bytes, ids: Collection[str]) -> byte
                 now[row.id] = attributes_of(row)
             else:
                 del now[row.id]
-    return retold(body, now, told_lately=True)
+    return updated(body, now, ending=True)
 
 
-def named(body: bytes) -> set[str]:
-    """Ids in an answer, of views and of others."""
+def ids_in(body: bytes) -> set[str]:
+    """All ids in an answer, whether of views or not."""
     return set(_ID.findall(body.decode(errors="replace")))
 
 
-def retold(body: bytes, views: Now, *, told_lately: bool = False) -> bytes:
-    """The answer to an enrolment, of one image or of several, brought up to date with what views have now.
+def updated(body: bytes, views: CurrentAttributes, *, ending: bool = False) -> bytes:
+    """The answer to an enrolment, of one image or of several, with what views have now.
 
     Parameters
     ----------
@@ -113,32 +113,32 @@ def retold(body: bytes, views: Now, *, told_lately: bool = False) -> bytes:
         The answer, JSON. It is returned as it is where nothing changes.
     views : mapping of str to ViewAttributes or None
         None: deleted.
-    told_lately : bool
-        The call is only ending. Sentences that name a view as it is called now stay, and the ids in `views` were taken
-        from the answer's text, so that some may not be of views.
+    ending : bool
+        Whether the call is only ending. Then a sentence stays that names a view as it is called now, and `views` has
+        all ids of the answer's text, of which some may not be of views.
     """
     answer = json.loads(body)
     before = _text(answer)
     for one in (answer, *answer.get("views", ())):
         view = one.get("view")
         if isinstance(view, dict) and view["id"] in views:
-            _tell(view, views[view["id"]])
+            _set_attributes(view, views[view["id"]])
         for warning in one.get("warnings", ()):
-            warning["detail"] = _detail(warning["detail"], {warning["view"]}, views, told_lately)
+            warning["detail"] = _detail(warning["detail"], {warning["view"]}, views, ending)
     for refused in (answer, *answer.get("errors", ())):
         if detail := refused.get("detail"):
-            ids = _VIEW.findall(detail) if told_lately else _ID.findall(detail)
-            refused["detail"] = _detail(detail, ids, views, told_lately)
+            ids = _VIEW.findall(detail) if ending else _ID.findall(detail)
+            refused["detail"] = _detail(detail, ids, views, ending)
     after = _text(answer)
     return body if after == before else after
 
 
-def _detail(detail: str, ids: Iterable[str | None], views: Now, told_lately: bool) -> str:
-    """A sentence that names views, or instead of it only that one of them was deleted or changed."""
+def _detail(detail: str, ids: Iterable[str | None], views: CurrentAttributes, ending: bool) -> str:
+    """A sentence that names views; instead of it only that one of them was deleted or changed, where one was."""
     concerned = [(one, views[one]) for one in ids if one is not None and one in views]
     if any(attributes is None for _, attributes in concerned):
         return SINCE_DELETED
-    if any(not told_lately or not _is_named(detail, one, now) for one, now in concerned if now is not None):
+    if any(not ending or not _is_named(detail, one, now) for one, now in concerned if now is not None):
         return SINCE_CHANGED
     return detail
 
@@ -149,8 +149,8 @@ def _is_named(detail: str, view_id: str, now: ViewAttributes) -> bool:
     return f"(view {view_id})" not in detail or f"{name!r} (view {view_id})" in detail
 
 
-def _tell(view: dict[str, Any], now: ViewAttributes | None) -> None:
-    """Give a view in an answer what it has now. Of a deleted one its id and what its image is like stay."""
+def _set_attributes(view: dict[str, Any], now: ViewAttributes | None) -> None:
+    """Give a view in an answer the attributes that it has now; a deleted one keeps its id and the size of its image."""
     if now is None:
         view |= DELETED
         view["image"]["sha256"] = "0" * 64
@@ -163,12 +163,12 @@ def _tell(view: dict[str, Any], now: ViewAttributes | None) -> None:
         "metadata": dict(now.metadata),
         "filename": now.filename,
     }
-    if _bare({name: view.get(name) for name in has}) != _bare(has):
+    if _comparable({name: view.get(name) for name in has}) != _comparable(has):
         view |= has
 
 
-def _bare(has: Mapping[str, Any]) -> str:
-    """What a view has, as a text to compare: equal for equal attributes."""
+def _comparable(has: Mapping[str, Any]) -> str:
+    """The attributes of a view as text that is equal for equal attributes."""
     position = has["position"]
     known = position and {name: value for name, value in position.items() if value is not None}
     return as_json({**has, "position": known})
@@ -178,19 +178,19 @@ def _text(answer: Any) -> bytes:
     return json.dumps(answer, ensure_ascii=False, separators=(",", ":")).encode()
 
 
-def _telling(
+def _naming(
     connection: sa.Connection, views: set[str], *which: sa.ColumnElement[bool]
 ) -> Iterable[tuple[str, set[str]]]:
-    """Keys of the answers that name some of these views, and which."""
+    """The keys of the stored answers that name any of these views, each with the views that it names."""
     kept = sa.select(CALLS.c.key, CALLS.c.body).where(CALLS.c.finished_at.is_not(None), *which)
     if len(views) <= FEW:
-        kept = kept.where(sa.or_(sa.false(), *(_holds(connection.engine, view) for view in views)))
+        kept = kept.where(sa.or_(sa.false(), *(_contains(connection.engine, view) for view in views)))
     for row in connection.execute(kept.execution_options(yield_per=100)):
-        if some := named(row.body or b"") & views:
+        if some := ids_in(row.body or b"") & views:
             yield row.key, some
 
 
-def _holds(engine: sa.Engine, view_id: str) -> sa.ColumnElement[bool]:
+def _contains(engine: sa.Engine, view_id: str) -> sa.ColumnElement[bool]:
     """SQL condition that the id of a view stands in an answer."""
     wanted = sa.literal(view_id.encode(), sa.LargeBinary)
     if dialect.is_file(engine):
@@ -198,11 +198,11 @@ def _holds(engine: sa.Engine, view_id: str) -> sa.ColumnElement[bool]:
     return sa.func.position(wanted.op("IN")(CALLS.c.body)) > 0
 
 
-def _retell(connection: sa.Connection, keys: Collection[str], views: Now) -> None:
-    """Change what the answers of some calls tell of some views; one that is damaged goes as a whole."""
+def _update(connection: sa.Connection, keys: Collection[str], views: CurrentAttributes) -> None:
+    """Rewrite the stored answers with these keys; a damaged one is deleted."""
     for row in list(connection.execute(sa.select(CALLS).where(CALLS.c.key.in_(keys)))):
         of = CALLS.c.key == row.key
         if row.finished_at is None or not checksums.is_whole(CALLS, row, row.checksum):
             connection.execute(sa.delete(CALLS).where(of, CALLS.c.finished_at.is_not(None)))
         else:
-            connection.execute(sa.update(CALLS).where(of).values(body=retold(row.body, views)))
+            connection.execute(sa.update(CALLS).where(of).values(body=updated(row.body, views)))

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
 from schemas.records import Replay
 from worker.storage import checksums, clock, dialect
-from worker.storage.answers import Answers, as_now, named
+from worker.storage.answers import StoredAnswers, current, ids_in
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
@@ -22,7 +22,8 @@ from worker.storage.tables import CALLS, VOCABULARIES
 KEPT = timedelta(hours=24)
 
 GIVEN_UP = timedelta(minutes=10)
-"""After which a call without an answer no longer runs: its process was killed. Two enrolments of an image are one."""
+"""Time after which a call without an answer counts as killed with its process. If it still runs, an enrolment that is
+sent again does no harm: two enrolments of an image are one."""
 
 EXPIRED_EVERY_S = 3600.0
 """Seconds between looks for calls whose time is over, where no new one looks."""
@@ -31,7 +32,8 @@ EXPIRED_EVERY_S = 3600.0
 class Calls(Part):
     """Calls by Idempotency-Key, kept for a day after they began.
 
-    A call whose end cannot be stored would seem to run for that day: such ends are held and stored later.
+    A call whose end was not stored would seem to run all that day, so ends that cannot be stored now are held in memory
+    and stored later.
     """
 
     def __init__(self, database: Database, images: ImageStore) -> None:
@@ -58,7 +60,7 @@ class Calls(Part):
         """
         if key in self._late:
             self.finish_late()
-        own = key.partition(" ")[0]  # behind it stands whose it is
+        own = key.partition(" ")[0]  # the caller's own key; what follows says whose it is
 
         def forget() -> None:
             self._delete(CALLS.c.key == key, CALLS.c.begun_at == now)
@@ -66,7 +68,7 @@ class Calls(Part):
         with self._late_unless_done(key, forget), self._database.writing() as connection:
             now = _time(connection, now, shared)
             connection.execute(sa.delete(CALLS).where(CALLS.c.begun_at <= now - KEPT))
-            # Of this key alone: to find others, all calls of a day would be looked through while nobody else may write.
+            # Only this key: to find others, all calls of a day would be read while nobody else may write.
             given_up = CALLS.c.key == key, CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now - GIVEN_UP
             connection.execute(sa.delete(CALLS).where(*given_up))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
@@ -82,7 +84,7 @@ class Calls(Part):
         return Replay(row.status, json.loads(row.headers), row.body)
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:
-        """Store the answer to a call; of a view that was deleted or changed while it ran, as that is now."""
+        """Store the answer to a call, up to date with the views in it that were deleted or changed while it ran."""
         self._store(key, lambda: self._end(key, replay, now))
 
     def abandon(self, key: str) -> None:
@@ -108,9 +110,9 @@ class Calls(Part):
             connection.execute(sa.delete(CALLS).where(over))
         self._database.stain()
 
-    def telling(self, views: Collection[str]) -> Answers:
-        """The answers that are kept and tell of some views, by their ids, which are about to be deleted."""
-        return Answers(self._database, views)
+    def answers_naming(self, views: Collection[str]) -> StoredAnswers:
+        """The stored answers that name some views, given by their ids, which are about to be deleted."""
+        return StoredAnswers(self._database, views)
 
     def _store(self, key: str, store: Callable[[], None]) -> None:
         """Store the end of a call now, or later where that cannot be done."""
@@ -129,13 +131,14 @@ class Calls(Part):
 
     def _end(self, key: str, replay: Replay, now: datetime) -> None:
         body = bytes(replay.body)
-        ids = named(body)
-        # In turn: who deletes or changes such a view either finds this answer, or has done so before.
+        ids = ids_in(body)
+        # In turn: a transaction that deletes or changes such a view comes after this one, and finds the answer, or was
+        # committed before it.
         with self._database.writing(in_turn=bool(ids)) as connection:
             kept = {
                 "status": int(replay.status),
                 "headers": as_json(dict(replay.headers)),
-                "body": as_now(connection, body, ids) if ids else body,
+                "body": current(connection, body, ids) if ids else body,
             }
             ended = sa.update(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None))
             connection.execute(ended.values(finished_at=now, **kept))

@@ -13,7 +13,7 @@ from schemas.errors import Conflict, DiskFull, StorageFailed
 from schemas.records import Filters
 from schemas.removal import Holding, Removal
 from worker.storage import clock, deleted_images, forgetting, switching
-from worker.storage.answers import Answers
+from worker.storage.answers import StoredAnswers
 from worker.storage.comparisons import outdate
 from worker.storage.damage import bury
 from worker.storage.database import Database
@@ -41,8 +41,8 @@ class Removals(Part):
     images : ImageStore
     holding : function
         Snapshots that have images of some digests, also of those that were being made; see `SnapshotContents.holding`.
-    telling : function
-        Of views, by their ids, what is kept of calls and tells of them; see `Calls.telling`.
+    answers_naming : function
+        From ids of views to the stored answers that name them; see `Calls.answers_naming`.
     """
 
     def __init__(
@@ -50,10 +50,10 @@ class Removals(Part):
         database: Database,
         images: ImageStore,
         holding: Callable[[Collection[str], Sequence[str]], tuple[Holding, ...]],
-        telling: Callable[[Collection[str]], Answers],
+        answers_naming: Callable[[Collection[str]], StoredAnswers],
     ) -> None:
         super().__init__(database, images)
-        self._holding, self._telling = holding, telling
+        self._holding, self._answers_naming = holding, answers_naming
         self._unfinished: set[int] = set()
         self._finishing: threading.Thread | None = None
 
@@ -65,7 +65,7 @@ class Removals(Part):
         """
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
-        gone = self._remove(row.map_id, [row.seq], self._telling([row.id]), undoes=undoes)
+        gone = self._remove(row.map_id, [row.seq], self._answers_naming([row.id]), undoes=undoes)
         if gone.views == 0:  # deleted by another call meanwhile
             with self._database.reading() as connection:
                 find_view(connection, view_id)
@@ -77,7 +77,7 @@ class Removals(Part):
             row = find_map(connection, name)
             fit = [VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id)]
             ids = dict(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id).where(*fit).order_by(VIEWS.c.seq)).all())
-        seqs, answers = list(ids), self._telling(ids.values())
+        seqs, answers = list(ids), self._answers_naming(ids.values())
         starts = range(0, len(seqs), PORTION)
         portions = [self._remove(row.id, seqs[start : start + PORTION], answers) for start in starts]
         return self._receipt(portions, portions[-1].revision if portions else row.revision)
@@ -169,7 +169,7 @@ class Removals(Part):
         some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
         with self._database.reading() as connection:
             ids = list(connection.scalars(sa.select(VIEWS.c.id).where(VIEWS.c.map_id == map_id)))
-        answers = self._telling(ids)
+        answers = self._answers_naming(ids)
         while self._database.freeing(lambda connection: _at_work(connection, map_id)):
             with self._database.reading() as connection:
                 seqs = list(connection.scalars(some))
@@ -201,8 +201,8 @@ class Removals(Part):
             snapshots=self._holding(digests, started),
         )
 
-    def _remove(self, map_id: int, seqs: Sequence[int], answers: Answers, *, undoes: bool = False) -> "_Gone":
-        """Delete views of a map and what the kept `answers` tell of them, then the images that no view needs."""
+    def _remove(self, map_id: int, seqs: Sequence[int], answers: StoredAnswers, *, undoes: bool = False) -> "_Gone":
+        """Delete views of a map, what the stored `answers` say of them, then the images that no view needs."""
 
         def remove(connection: sa.Connection) -> _Gone:
             if undoes:

@@ -109,7 +109,7 @@ class SqlStore:
         files = images.files
         place = SnapshotFolder(data / SNAPSHOTS) if files is None else SnapshotObjects(files, scratch)
         self.snapshots = Snapshots(database, images, data / SNAPSHOTS, place)
-        self.removals = Removals(database, images, self.snapshots.holding, self.calls.telling)
+        self.removals = Removals(database, images, self.snapshots.holding, self.calls.answers_naming)
         self.restoring = Restoring(database, images, self.removals)
         here = data / IMPORTS, database.space
         self.uploads = Uploads(*here) if files is None else SharedUploads(*here, files, scratch)

@@ -10,7 +10,7 @@ from schemas.description import Floats
 from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
-from worker.storage.answers import Answers
+from worker.storage.answers import StoredAnswers
 from worker.storage.comparisons import outdate
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
@@ -154,20 +154,20 @@ class Views(Part):
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
         """Replace a view's attributes by `change` of them, in one transaction; raises NotFound, Damaged.
 
-        Answers that are kept to be repeated tell nothing any more of what it had. When `change` raises, the view stays
-        as it was.
+        Stored answers to calls with an Idempotency-Key lose what the view had before. When `change` raises, the view
+        stays as it was.
         """
         try:
             changed = self._change(view_id, change, None)
         except _AnswersUnread:
-            changed = self._change(view_id, change, Answers(self._database, [view_id]))
+            changed = self._change(view_id, change, StoredAnswers(self._database, [view_id]))
         self._database.stain()  # people edit view after view: the journal is emptied for all of them together
         return changed
 
     def _change(
-        self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes], answers: Answers | None
+        self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes], answers: StoredAnswers | None
     ) -> ViewRecord:
-        """As `change`; raises _AnswersUnread where `answers` that tell of the view are needed."""
+        """As `change`; raises _AnswersUnread where stored answers have to be rewritten, and `answers` is None."""
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
             if not has_whole_attributes(before):
@@ -185,7 +185,7 @@ class Views(Part):
                 if any(was not in (None, NO_METADATA) for was in had.values()):
                     if answers is None:
                         raise _AnswersUnread
-                    answers.tell(connection, {view_id: attributes})
+                    answers.update(connection, {view_id: attributes})
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
@@ -212,7 +212,7 @@ class Views(Part):
 
 
 class _AnswersUnread(Exception):
-    """A change is to be told in the answers that are kept: these are looked through before, while others write."""
+    """Stored answers have to be rewritten, and were not read yet. They are read before the transaction that writes."""
 
 
 def _last_rank(cursor: str) -> tuple[float, int]:
