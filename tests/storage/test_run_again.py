@@ -18,7 +18,7 @@ from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import PostgresServer, postgres_schema
 from tests.storage.material import describe_all, enroll
 from tests.waiting import until
-from worker.storage import again, removals
+from worker.storage import removals, retrying
 from worker.storage.database import Database
 from worker.storage.part import Part
 from worker.storage.store import SqlStore, open_store
@@ -233,7 +233,7 @@ def test_nothing_is_run_again_after_a_part_was_committed(
 
     for name in ("gate", "pond", "hall"):
         enroll(store, name)
-    monkeypatch.setattr(again, "PAUSES_S", (0.0, 0.0))
+    monkeypatch.setattr(retrying, "PAUSES_S", (0.0, 0.0))
     run(elsewhere_connected, "SELECT setval('changes', 1)")
     run(
         elsewhere_connected,
@@ -250,7 +250,7 @@ def test_nothing_is_run_again_after_a_part_was_committed(
 def test_a_method_is_run_so_often_and_no_more(
     store: SqlStore, elsewhere_connected: sa.Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(again, "PAUSES_S", (0.0, 0.0))
+    monkeypatch.setattr(retrying, "PAUSES_S", (0.0, 0.0))
     enroll(store, "gate")
     run(elsewhere_connected, "CREATE SEQUENCE changes")
     run(
@@ -290,7 +290,7 @@ def test_a_server_that_is_started_anew_is_waited_for_and_one_that_is_away_is_tol
         assert time.monotonic() - began < 5
 
         # A server takes as long to start as the machine has other work: here it is waited for longer.
-        monkeypatch.setattr(again, "PAUSES_S", (*again.PAUSES_S, *[0.5] * 120))
+        monkeypatch.setattr(retrying, "PAUSES_S", (*retrying.PAUSES_S, *[0.5] * 120))
         back = threading.Timer(0.2, server.start)
         back.start()
         try:
@@ -319,7 +319,7 @@ def test_a_server_that_is_silent_is_tried_once(data: Path, monkeypatch: pytest.M
                 store.views.get(view.id)
             assert len(tried) == 1
             patched.setattr("worker.storage.database.PROMPT_S", 60)
-            patched.setattr(again, "PAUSES_S", (0.0, 0.0))
+            patched.setattr(retrying, "PAUSES_S", (0.0, 0.0))
             with pytest.raises(StorageFailed, match="no connection"):
                 store.views.get(view.id)
             assert len(tried) == 4

@@ -18,7 +18,7 @@ from tests.storage.databases import data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
 from worker.service.snapshots import SnapshotService
 from worker.storage import snapshot_portions
-from worker.storage.again import RolledBack
+from worker.storage.retrying import RolledBack
 from worker.storage.snapshot_files import SnapshotReader
 from worker.storage.snapshot_portions import MOST_BYTES, MOST_VIEWS, Portions, SizedView, portions
 from worker.storage.store import SqlStore, open_store

@@ -26,7 +26,7 @@ from tests.storage.databases import PostgresServer
 from tests.storage.object_store import ObjectStore
 from tests.stories.fleets import JPEG, Ledger, found, nodes, until
 from tests.stories.running import ROOT, RunningService, worker
-from worker.storage.again import JITTER, PAUSES_S
+from worker.storage.retrying import JITTER, PAUSES_S
 
 pytestmark = pytest.mark.one_database("it has databases of its own")
 

@@ -18,7 +18,7 @@ from tests.stories.importing import ZIP, ended, zipped
 from tests.stories.running import RunningService, worker
 from tests.stories.test_a_database_fails_over import USER
 from tests.waiting import until
-from worker.storage.again import PAUSES_S
+from worker.storage.retrying import PAUSES_S
 
 pytestmark = pytest.mark.one_database("it has databases of its own")
 

@@ -10,8 +10,8 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, StorageFailed
 from worker.storage import dialect, sealing
-from worker.storage.again import Commits, again
 from worker.storage.disk_errors import DAMAGED, FULL, problem_of, translated
+from worker.storage.retrying import Commits, run_with_retries
 from worker.storage.space import Space
 
 T = TypeVar("T")
@@ -124,7 +124,7 @@ class Database:
     def freeing(self, work: Callable[[sa.Connection], T]) -> T:
         """Run what makes room in a transaction, on a full disk with the reserve given up for it; raises DiskFull.
 
-        `work` is run again where it was rolled back, also after others of the same call.
+        `work` is retried where it was rolled back, also after other transactions of the same call.
         """
 
         def run() -> T:
@@ -132,7 +132,7 @@ class Database:
                 return work(connection)
 
         try:
-            freed = again(self.commits, run)
+            freed = run_with_retries(self.commits, run)
         except DiskFull:
             if self.space is None or not self.space.give_up():
                 raise

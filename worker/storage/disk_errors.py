@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from worker.storage import dialect
-from worker.storage.again import RolledBack
+from worker.storage.retrying import RolledBack
 
 _READ_ONLY, _IO_ERROR, _CANNOT_OPEN, _NO_PERMISSION = 8, 10, 14, 3
 _SQLITE = {

@@ -13,10 +13,10 @@ import sqlalchemy as sa
 
 from schemas.errors import SetupError
 from worker.storage import dialect
-from worker.storage.again import RolledBack
 from worker.storage.database import Database
 from worker.storage.disk_errors import AWAY, translated
 from worker.storage.locks import held
+from worker.storage.retrying import RolledBack
 
 log = logging.getLogger("revisit")
 

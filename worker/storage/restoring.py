@@ -43,7 +43,7 @@ MOST_IMAGES, MOST_BYTES = 256, 32 * 1024 * 1024
 """Images that are written together: so many, or as many as have so many bytes."""
 
 
-class Restoring(Part, again=False):
+class Restoring(Part, retried=False):
     """Makes maps from snapshots.
 
     Parameters

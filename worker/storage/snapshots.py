@@ -36,7 +36,7 @@ RECEIVING = ".receiving-"
 _ID = re.compile("[0-9a-f-]{36}")
 
 
-class Snapshots(Part, again=False):
+class Snapshots(Part, retried=False):
     """Files of snapshots, named by the job that made each.
 
     Parameters

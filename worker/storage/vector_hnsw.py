@@ -36,7 +36,7 @@ TURN = 0x7265766973697402
 _NAME = "searched_hnsw_{searched_id}_{channel}"
 
 
-class VectorIndexing(Part, again=False):
+class VectorIndexing(Part, retried=False):
     """Builds what HNSW needs. Queries are answered meanwhile, exactly. Only for a prepared PostgreSQL database."""
 
     _looked_at = float("-inf")
