@@ -11,6 +11,7 @@ import numpy as np
 from lab.datasets.dataset import ENDINGS, RADIUS_M, Dataset, UnexpectedLayout, composed, rows_of, within
 from lab.metrics.recall import Indices
 from schemas.description import Doubles
+from schemas.globe import EARTH_RADIUS_M
 
 EXPECTED = """\
   ROOT/positions.csv   one row an image, with the columns
@@ -18,9 +19,6 @@ EXPECTED = """\
       x,y              metres (x_m,y_m likewise), or lat,lon in degrees
       heading          degrees clockwise from north, optional (heading_deg likewise)
       role             database or query; or the files lie in folders database/ and query/"""
-
-EARTH_M = 6_371_008.8
-"""Mean radius of the Earth."""
 
 
 def read(
@@ -125,8 +123,8 @@ def _metres(rows: list[dict[str, str]], path: Path) -> tuple[Doubles, Doubles]:
     # So what is near is told on the globe. Longitudes are taken relative to the first one, so that a set on either
     # side of 180 degrees stays together.
     east = (lon - lon[0] + np.pi) % (2 * np.pi) - np.pi
-    plane = EARTH_M * np.column_stack([(east - east.mean()) * np.cos(lat.mean()), lat - lat.mean()])
-    globe = EARTH_M * np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    plane = EARTH_RADIUS_M * np.column_stack([(east - east.mean()) * np.cos(lat.mean()), lat - lat.mean()])
+    globe = EARTH_RADIUS_M * np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     return plane, globe
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from schemas import values
 from schemas.errors import InvalidParameters
+from schemas.globe import EARTH_RADIUS_M
 from schemas.records import Filters, Position, Selection, ViewAttributes
 from tests.storage.material import NOW, RECIPE, enroll, ids
-from worker.storage.filtering import EARTH_RADIUS_M
 from worker.storage.paging import cursor_after
 from worker.storage.store import SqlStore
 

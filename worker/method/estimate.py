@@ -7,8 +7,9 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
+from schemas.globe import EARTH_RADIUS_M
 from schemas.records import Position
-from worker.method.positions import EARTH_M, distance, is_known, metres
+from worker.method.positions import distance, is_known, metres
 
 AGREE_M = 25.0
 """Matches further than this from the best one do not count for the estimate, metres."""
@@ -92,8 +93,8 @@ def _sharing(points: npt.NDArray[np.float64], share: npt.NDArray[np.float64]) ->
 def _place(offset: npt.NDArray[np.float64], height: float | None, origin: Position) -> Position:
     if origin.lat is None or origin.lon is None:
         return Position(x=(origin.x or 0.0) + float(offset[0]), y=(origin.y or 0.0) + float(offset[1]), z=height)
-    lat = origin.lat + float(np.degrees(offset[1] / EARTH_M))
+    lat = origin.lat + float(np.degrees(offset[1] / EARTH_RADIUS_M))
     # At a pole every longitude is the same point; the guard only keeps the division finite.
     scale = max(float(np.cos(np.radians(origin.lat))), 1e-9)
-    lon = origin.lon + float(np.degrees(offset[0] / EARTH_M / scale))
+    lon = origin.lon + float(np.degrees(offset[0] / EARTH_RADIUS_M / scale))
     return Position(lat=max(-90.0, min(90.0, lat)), lon=(lon + 180) % 360 - 180, alt=height)

@@ -2,10 +2,8 @@
 
 from math import cos, hypot, inf, radians
 
+from schemas.globe import EARTH_RADIUS_M
 from schemas.records import Position
-
-EARTH_M = 6_371_008.8
-"""Mean radius of the earth (IUGG), metres."""
 
 
 def is_known(position: Position) -> bool:
@@ -38,8 +36,8 @@ def metres(position: Position, origin: Position) -> tuple[float, float, float]:
         east = (position.lon - origin.lon + 180) % 360 - 180
         scale = cos(radians(origin.lat))
         return (
-            radians(east) * EARTH_M * scale,
-            radians(position.lat - origin.lat) * EARTH_M,
+            radians(east) * EARTH_RADIUS_M * scale,
+            radians(position.lat - origin.lat) * EARTH_RADIUS_M,
             position.alt or 0.0,
         )
     return (position.x or 0.0) - (origin.x or 0.0), (position.y or 0.0) - (origin.y or 0.0), position.z or 0.0

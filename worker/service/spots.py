@@ -7,9 +7,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from schemas.comparisons import KnownView
+from schemas.globe import EARTH_RADIUS_M
 from schemas.records import Position
 from worker.method import coverage
-from worker.method.positions import EARTH_M, is_known, metres
+from worker.method.positions import is_known, metres
 
 
 class View(Protocol):
@@ -65,13 +66,13 @@ def points_of(views: Sequence[V]) -> coverage.Points:
     if views and views[0].known.position.lat is not None:
         degrees = np.array([(view.known.position.lat, view.known.position.lon) for view in views], np.float64)
         lat, lon = np.radians(degrees).T
-        return EARTH_M * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+        return EARTH_RADIUS_M * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
     return np.array([metres(view.known.position, views[0].known.position)[:2] for view in views]).reshape(-1, 2)
 
 
 def along(straight: float, geographic: bool) -> float:
     """The way over the ground between two of these points, metres, by the straight line between them."""
-    return 2 * EARTH_M * math.asin(min(straight / (2 * EARTH_M), 1.0)) if geographic else straight
+    return 2 * EARTH_RADIUS_M * math.asin(min(straight / (2 * EARTH_RADIUS_M), 1.0)) if geographic else straight
 
 
 def names_of(group: Sequence[View]) -> tuple[str, ...]:

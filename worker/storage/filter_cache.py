@@ -1,7 +1,6 @@
 """Filters of searches over columns in memory: see filter_columns.py."""
 
 import logging
-import math
 import threading
 import time
 from collections import OrderedDict
@@ -14,13 +13,13 @@ import numpy as np
 import sqlalchemy as sa
 
 from schemas.description import Doubles
+from schemas.globe import chord, unit_vector
 from schemas.records import Filters, Sequence64
 from schemas.values import spellings
 from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Predicate
 from worker.storage.database import Database
 from worker.storage.filter_columns import Column, Mask, NotExact, Path, read
-from worker.storage.filtering import EARTH_RADIUS_M, are_in_degrees
-from worker.storage.rows import unit_vector
+from worker.storage.filtering import are_in_degrees
 from worker.storage.tables import MAPS, TOMBSTONES, VIEWS
 
 log = logging.getLogger("revisit")
@@ -347,11 +346,11 @@ def _near(near: tuple[float, float, float], columns: Mapping[Path, Column], *, g
     names: tuple[str, ...] = METRES
     centre = [first, second]
     if geographic:
-        half_angle = radius / (2 * EARTH_RADIUS_M)
-        if half_angle >= math.pi / 2:
+        reach = chord(radius)
+        if reach is None:  # the whole globe
             return columns["globe_z",].exists
         x, y, z = unit_vector(first, second)
-        names, centre, radius = GLOBE, [z, x, y], 2 * math.sin(half_angle)
+        names, centre, radius = GLOBE, [z, x, y], reach
     total: Doubles = np.zeros(len(columns[names[0],].exists))
     with np.errstate(invalid="ignore", over="ignore"):
         for name, at in zip(names, centre, strict=True):  # in the order in which SQL adds

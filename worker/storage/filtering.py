@@ -7,7 +7,6 @@ half the chord is the haversine of d / R. A box around such a point has no speci
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from typing import Any
@@ -15,14 +14,12 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.errors import InvalidParameters
+from schemas.globe import chord, unit_vector
 from schemas.records import Filters
 from schemas.values import spellings
-from worker.storage.rows import as_json, unit_vector
+from worker.storage.rows import as_json
 from worker.storage.tables import METADATA_PAIRS, VIEWS
 from worker.storage.where import fulfilling
-
-EARTH_RADIUS_M = 6_371_008.8
-"""Mean radius of WGS 84, (2a + b) / 3."""
 
 _MOST_LISTED = 10
 
@@ -155,13 +152,12 @@ def _near_metres(x: float, y: float, radius: float) -> list[Clause]:
 
 
 def _near_degrees(lat: float, lon: float, radius: float) -> list[Clause]:
-    half_angle = radius / (2 * EARTH_RADIUS_M)
-    if half_angle >= math.pi / 2:  # the whole globe, and no rounding at the antipode
+    reach = chord(radius)
+    if reach is None:  # the whole globe
         return [VIEWS.c.globe_z.is_not(None)]
-    chord = 2 * math.sin(half_angle)
     # z first: the index has it first, because views of one city differ in it wherever the city lies.
     x, y, z = unit_vector(lat, lon)
-    return _near((VIEWS.c.globe_z, VIEWS.c.globe_x, VIEWS.c.globe_y), (z, x, y), chord, slack=1e-12)
+    return _near((VIEWS.c.globe_z, VIEWS.c.globe_x, VIEWS.c.globe_y), (z, x, y), reach, slack=1e-12)
 
 
 def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: float, slack: float) -> list[Clause]:

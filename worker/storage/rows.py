@@ -2,7 +2,6 @@
 
 import json
 import logging
-import math
 from collections.abc import Collection, Iterable, Iterator
 from functools import cache, lru_cache
 from typing import Any
@@ -11,6 +10,7 @@ import sqlalchemy as sa
 
 from schemas.blur import BLUR_WORDS
 from schemas.errors import Damaged, NotFound
+from schemas.globe import unit_vector
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import DescriptionRecord, Failure, MapRecord, Position, ViewAttributes, ViewRecord
@@ -297,9 +297,3 @@ def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:
     columns["metadata"] = as_json(dict(attributes.metadata))
     columns["filename"] = attributes.filename
     return columns
-
-
-def unit_vector(lat: float, lon: float) -> tuple[float, float, float]:
-    """Degrees as a point (x, y, z) on the unit sphere, which has no seam at 180 degrees and no poles."""
-    phi, theta = math.radians(lat), math.radians(lon)
-    return math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)
