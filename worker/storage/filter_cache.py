@@ -46,8 +46,11 @@ METRES, GLOBE = ("x", "y"), ("globe_z", "globe_x", "globe_y")
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
-    """Columns of a map's views as of a revision and a newest view. None: the field has a number that is not exact."""
+class _Columns:
+    """Columns of a map's views as of a revision, with the views up to `newest`, a sequence number.
+
+    None stands for a field that has a number which is not exact: the database compares it.
+    """
 
     revision: int
     newest: int
@@ -56,7 +59,7 @@ class _Known:
 
     @property
     def state(self) -> tuple[int, int]:
-        """Later states are greater: what is enrolled gets no revision before it is described."""
+        """Greater for a later state of the map. An enrolment counts by `newest`: its revision comes with its description."""
         return self.revision, self.newest
 
     @property
@@ -66,7 +69,7 @@ class _Known:
 
 
 @dataclass(eq=False)
-class _Held:
+class _MapColumns:
     """The columns of one map.
 
     Attributes of its views last changed at the revision `edited`, which was first seen at `since`, by a steady clock.
@@ -74,7 +77,7 @@ class _Held:
 
     edited: int
     since: float
-    known: _Known | None = None
+    known: _Columns | None = None
 
     @property
     def size(self) -> int:
@@ -103,7 +106,7 @@ class FilterCache:
     ) -> None:
         self._database, self._most_bytes, self._settled_s = database, most_bytes, settled_s
         self._kept_s = kept_s
-        self._held: OrderedDict[int, _Held] = OrderedDict()
+        self._maps: OrderedDict[int, _MapColumns] = OrderedDict()
         self._lock = threading.Lock()
         self._reading: threading.Thread | None = None
 
@@ -120,15 +123,15 @@ class FilterCache:
         if reading is not None:
             reading.join()
 
-    def only(self, connection: sa.Connection, of: sa.Row[Any], filters: Filters) -> Sequence64 | None:
+    def only(self, connection: sa.Connection, map_row: sa.Row[Any], filters: Filters) -> Sequence64 | None:
         """The views that fulfil all filters but the exclusions, ascending; None: ask the database.
 
         Parameters
         ----------
         connection : Connection
             In a transaction that sees one snapshot.
-        of : Row
-            Of a map, as this transaction sees it.
+        map_row : Row
+            The row of the map, as this transaction sees it.
         filters : Filters
             At least one of them.
 
@@ -140,23 +143,23 @@ class FilterCache:
         geographic = filters.geographic
         if filters.near is not None and geographic is None:
             first, second, _ = map(float, filters.near)
-            geographic = are_in_degrees(connection, first, second, [VIEWS.c.map_id == of.id])
-        if not isinstance(of.edited, int):
+            geographic = are_in_degrees(connection, first, second, [VIEWS.c.map_id == map_row.id])
+        if not isinstance(map_row.edited, int):
             return None  # damaged
         paths = set(_paths(filters, geographic=bool(geographic)))
-        held = self._of(of)
+        held = self._of_map(map_row)
         before = held.known
-        state = int(of.revision), _newest(connection, of.id)
-        if held.edited != of.edited or (before is not None and state < before.state):
-            return None  # a transaction from before what is known
-        known = None if before is None else _up_to(connection, of, before)
+        state = int(map_row.revision), _newest(connection, map_row.id)
+        if held.edited != map_row.edited or (before is not None and state < before.state):
+            return None  # this transaction began before the columns were read
+        known = None if before is None else _up_to(connection, map_row, before)
         with self._lock:
-            if held.known is before:  # which another query may have brought further
+            if held.known is before:  # unless another query has brought them further
                 held.known = known
                 self._keep_to_bound()
             missing = paths if known is None else paths - known.columns.keys()
             if missing:
-                self._begin_reading(of.id, held, sorted(missing))
+                self._begin_reading(map_row.id, held, sorted(missing))
                 return None
         assert known is not None
         columns = {path: column for path in paths if (column := known.columns[path]) is not None}
@@ -167,19 +170,19 @@ class FilterCache:
         except NotExact:
             return None
 
-    def _of(self, of: sa.Row[Any]) -> _Held:
-        """What is held of a map; begun anew when attributes of its views changed, or after `kept_s`."""
+    def _of_map(self, map_row: sa.Row[Any]) -> _MapColumns:
+        """The columns of a map; begun anew when attributes of its views changed, or after `kept_s`."""
         now = time.monotonic()
         with self._lock:
-            held = self._held.get(of.id)
-            if held is None or held.edited < of.edited or now - held.since > self._kept_s:
-                held = self._held[of.id] = _Held(int(of.edited), now)
-                while len(self._held) > MOST_MAPS:
-                    self._held.popitem(last=False)
-            self._held.move_to_end(of.id)
+            held = self._maps.get(map_row.id)
+            if held is None or held.edited < map_row.edited or now - held.since > self._kept_s:
+                held = self._maps[map_row.id] = _MapColumns(int(map_row.edited), now)
+                while len(self._maps) > MOST_MAPS:
+                    self._maps.popitem(last=False)
+            self._maps.move_to_end(map_row.id)
             return held
 
-    def _begin_reading(self, map_id: int, held: _Held, paths: Sequence[Path]) -> None:
+    def _begin_reading(self, map_id: int, held: _MapColumns, paths: Sequence[Path]) -> None:
         """Read columns in the background, unless some are being read already or attributes changed a moment ago."""
         if self._reading is None and time.monotonic() - held.since >= self._settled_s:
             self._reading = threading.Thread(
@@ -187,18 +190,18 @@ class FilterCache:
             )
             self._reading.start()
 
-    def _read(self, map_id: int, held: _Held, paths: Sequence[Path]) -> None:
+    def _read(self, map_id: int, held: _MapColumns, paths: Sequence[Path]) -> None:
         """Read columns of a map, unless attributes changed meanwhile. Errors are only logged: queries go on by SQL."""
         try:
             with self._database.reading() as connection:
-                of = connection.execute(sa.select(MAPS).where(MAPS.c.id == map_id)).one_or_none()
-                if of is None or of.edited != held.edited:
+                map_row = connection.execute(sa.select(MAPS).where(MAPS.c.id == map_id)).one_or_none()
+                if map_row is None or map_row.edited != held.edited:
                     return
                 before = held.known
-                known = None if before is None else _up_to(connection, of, before)
-                known = _with(connection, of, known, paths)
+                known = None if before is None else _up_to(connection, map_row, before)
+                known = _with(connection, map_row, known, paths)
             with self._lock:
-                if self._held.get(map_id) is held:
+                if self._maps.get(map_id) is held:
                     held.known = known
                     self._keep_to_bound()
         except Exception as error:
@@ -210,39 +213,39 @@ class FilterCache:
     def _keep_to_bound(self) -> None:
         """Forget the maps that were filtered least recently, and the columns of the last one that is left."""
         while self._size() > self._most_bytes:
-            if len(self._held) > 1:
-                self._held.popitem(last=False)
+            if len(self._maps) > 1:
+                self._maps.popitem(last=False)
                 continue
-            for held in self._held.values():
+            for held in self._maps.values():
                 assert held.known is not None
                 held.known = replace(held.known, columns=dict.fromkeys(held.known.columns))
 
     def _size(self) -> int:
-        return sum(held.size for held in self._held.values())
+        return sum(held.size for held in self._maps.values())
 
 
-def _up_to(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known | None:
-    """What is known, brought to the revision of a transaction: with what was enrolled, without what was deleted.
+def _up_to(connection: sa.Connection, map_row: sa.Row[Any], known: _Columns) -> _Columns | None:
+    """Columns brought to the revision of a transaction: with what was enrolled since, without what was deleted.
 
     None where more than `MOST_FURTHER` views were enrolled.
     """
-    newest = _newest(connection, of.id)
+    newest = _newest(connection, map_row.id)
     if newest > known.newest:
-        later = VIEWS.c.map_id == of.id, VIEWS.c.seq > known.newest
+        later = VIEWS.c.map_id == map_row.id, VIEWS.c.seq > known.newest
         if int(connection.scalar(sa.select(sa.func.count()).select_from(VIEWS).where(*later)) or 0) > MOST_FURTHER:
             return None
-        known = _with_further(connection, of, known)
-    if of.revision > known.revision:
-        known = _without_gone(connection, of, known)
-    return replace(known, revision=int(of.revision), newest=newest)
+        known = _with_further(connection, map_row, known)
+    if map_row.revision > known.revision:
+        known = _without_gone(connection, map_row, known)
+    return replace(known, revision=int(map_row.revision), newest=newest)
 
 
-def _with_further(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known:
-    """What is known, with the views behind the newest that was read."""
+def _with_further(connection: sa.Connection, map_row: sa.Row[Any], known: _Columns) -> _Columns:
+    """Columns with the views that were enrolled after `known.newest`."""
     columns = dict(known.columns)
     further: Sequence64 | None = None
     for path, column in known.columns.items():
-        found = None if column is None else _column(connection, of.id, path, known.newest)
+        found = None if column is None else _column(connection, map_row.id, path, known.newest)
         if found is None or column is None:
             columns[path] = None
         else:
@@ -250,9 +253,9 @@ def _with_further(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> 
     return known if further is None else replace(known, seqs=np.concatenate([known.seqs, further]), columns=columns)
 
 
-def _without_gone(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known:
-    """What is known, without the views that are gone since."""
-    buried = TOMBSTONES.c.map_id == of.id, TOMBSTONES.c.revision > known.revision
+def _without_gone(connection: sa.Connection, map_row: sa.Row[Any], known: _Columns) -> _Columns:
+    """Columns without the views that were deleted since."""
+    buried = TOMBSTONES.c.map_id == map_row.id, TOMBSTONES.c.revision > known.revision
     left = sa.select(TOMBSTONES.c.seq).where(*buried).where(~sa.exists().where(VIEWS.c.seq == TOMBSTONES.c.seq))
     seqs = np.fromiter(connection.scalars(left), np.int64)
     if len(seqs) == 0:
@@ -262,16 +265,16 @@ def _without_gone(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> 
     return replace(known, seqs=known.seqs[~gone], columns=columns)
 
 
-def _with(connection: sa.Connection, of: sa.Row[Any], known: _Known | None, paths: Sequence[Path]) -> _Known:
-    """What is known, with further columns as a transaction sees them."""
-    found = {path: _column(connection, of.id, path) for path in paths}
+def _with(connection: sa.Connection, map_row: sa.Row[Any], known: _Columns | None, paths: Sequence[Path]) -> _Columns:
+    """Columns with those of further fields, as a transaction sees them."""
+    found = {path: _column(connection, map_row.id, path) for path in paths}
     seqs = next((one[0] for one in found.values() if one is not None), None)
     columns = {path: None if one is None else one[1] for path, one in found.items()}
     if known is not None and (seqs is None or np.array_equal(seqs, known.seqs)):
         return replace(known, columns={**known.columns, **columns})
     if seqs is None:
         seqs = np.zeros(0, np.int64)
-    return _Known(int(of.revision), _newest(connection, of.id), seqs, columns)
+    return _Columns(int(map_row.revision), _newest(connection, map_row.id), seqs, columns)
 
 
 def _newest(connection: sa.Connection, map_id: int) -> int:
@@ -295,17 +298,18 @@ def _paths(filters: Filters, *, geographic: bool) -> Iterator[Path]:
         yield ("place",)
     yield from (("=", key) for key in filters.metadata)
     if filters.where is not None:
-        yield from _named(filters.where)
+        yield from _fields_of(filters.where)
 
 
-def _named(one: Predicate) -> Iterator[Path]:
-    if isinstance(one, AllOf | AnyOf):
-        for part in one.conditions:
-            yield from _named(part)
-    elif isinstance(one, Not):
-        yield from _named(one.condition)
+def _fields_of(predicate: Predicate) -> Iterator[Path]:
+    """The fields that a condition names."""
+    if isinstance(predicate, AllOf | AnyOf):
+        for part in predicate.conditions:
+            yield from _fields_of(part)
+    elif isinstance(predicate, Not):
+        yield from _fields_of(predicate.condition)
     else:
-        yield one.path
+        yield predicate.path
 
 
 def _mask(filters: Filters, columns: Mapping[Path, Column], *, geographic: bool) -> Mask:
@@ -325,19 +329,19 @@ def _mask(filters: Filters, columns: Mapping[Path, Column], *, geographic: bool)
     return reduce(np.logical_and, masks)
 
 
-def _fulfilled(one: Predicate, columns: Mapping[Path, Column]) -> Mask:
+def _fulfilled(predicate: Predicate, columns: Mapping[Path, Column]) -> Mask:
     """Which views a condition holds of, with the meaning of `where.fulfilling`."""
-    if isinstance(one, AllOf | AnyOf):
-        parts = (_fulfilled(part, columns) for part in one.conditions)
-        return reduce(np.logical_and if isinstance(one, AllOf) else np.logical_or, parts)
-    if isinstance(one, Not):
-        return np.logical_not(_fulfilled(one.condition, columns))
-    column = columns[one.path]
-    if isinstance(one, Is):
-        return reduce(np.logical_or, (column.equal(value) for value in one.values))
-    if isinstance(one, Compared):
-        return column.compared(one.operator, one.bound)
-    return column.begins(one.prefix) if isinstance(one, Begins) else column.exists
+    if isinstance(predicate, AllOf | AnyOf):
+        parts = (_fulfilled(part, columns) for part in predicate.conditions)
+        return reduce(np.logical_and if isinstance(predicate, AllOf) else np.logical_or, parts)
+    if isinstance(predicate, Not):
+        return np.logical_not(_fulfilled(predicate.condition, columns))
+    column = columns[predicate.path]
+    if isinstance(predicate, Is):
+        return reduce(np.logical_or, (column.equal(value) for value in predicate.values))
+    if isinstance(predicate, Compared):
+        return column.compared(predicate.operator, predicate.bound)
+    return column.begins(predicate.prefix) if isinstance(predicate, Begins) else column.exists
 
 
 def _near(near: tuple[float, float, float], columns: Mapping[Path, Column], *, geographic: bool) -> Mask:
@@ -353,6 +357,6 @@ def _near(near: tuple[float, float, float], columns: Mapping[Path, Column], *, g
         names, centre, radius = GLOBE, [z, x, y], reach
     total: Doubles = np.zeros(len(columns[names[0],].exists))
     with np.errstate(invalid="ignore", over="ignore"):
-        for name, at in zip(names, centre, strict=True):  # in the order in which SQL adds
-            total += np.square(columns[name,].known_numbers() - at)
+        for name, value in zip(names, centre, strict=True):  # in the order in which SQL adds
+            total += np.square(columns[name,].known_numbers() - value)
         return np.less_equal(total, radius * radius)

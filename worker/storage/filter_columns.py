@@ -76,17 +76,17 @@ class Column:
         kept = ~gone
         return Column(
             self.exists[kept],
-            _of(self.numbers, kept),
-            _of(self.is_number, kept),
-            _of(self.is_true, kept),
-            _of(self.is_false, kept),
-            _of(self.codes, kept),
+            _selected(self.numbers, kept),
+            _selected(self.is_number, kept),
+            _selected(self.is_true, kept),
+            _selected(self.is_false, kept),
+            _selected(self.codes, kept),
             self.texts,
             self.texts_size,
         )
 
     def with_further(self, other: "Column") -> "Column":
-        """The column of these views and of others behind them; of one field."""
+        """The column of these views followed by `other` ones; both are of one field."""
         texts, old, new, more = _merged(self.texts, other.texts)
         return Column(
             np.concatenate([self.exists, other.exists]),
@@ -108,7 +108,7 @@ class Column:
         return np.zeros(len(self.exists), np.bool_)
 
     def equal(self, value: Value) -> Mask:
-        """The views whose field is this, by type."""
+        """The views whose field has this value and its type."""
         if isinstance(value, bool):
             found = self.is_true if value else self.is_false
             return self._none() if found is None else found
@@ -119,7 +119,7 @@ class Column:
         return self.compared("$eq", value)
 
     def compared(self, operator: str, bound: Number | datetime) -> Mask:
-        """The views whose field is a number or a time that stands so to a bound; raises NotExact."""
+        """The views whose field is a number or a time that stands in this order to a bound; raises NotExact."""
         if self.numbers is None or self.is_number is None:
             return self._none()
         if isinstance(bound, int) and abs(bound) >= EXACT:  # as float64 it might be another number
@@ -130,7 +130,7 @@ class Column:
         return found
 
     def begins(self, prefix: str) -> Mask:
-        """The views whose field is a text that begins so: such texts lie side by side."""
+        """The views whose field is a text with this prefix: such texts lie side by side in `texts`."""
         if self.codes is None:
             return self._none()
         low = bisect_left(self.texts, prefix)
@@ -139,7 +139,7 @@ class Column:
         return found
 
 
-def _of(part: "npt.NDArray[Any] | None", kept: Mask) -> "npt.NDArray[Any] | None":
+def _selected(part: "npt.NDArray[Any] | None", kept: Mask) -> "npt.NDArray[Any] | None":
     return None if part is None else part[kept]
 
 
@@ -165,9 +165,9 @@ def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str],
     new_bytes : int
         Memory of the texts that are only in `others`.
     """
-    at = [bisect_left(known, text) for text in others]
-    is_new = [not (place < len(known) and known[place] == text) for place, text in zip(at, others, strict=True)]
-    places, fresh = np.array(at, np.int64), np.array(is_new, np.bool_)
+    positions = [bisect_left(known, text) for text in others]
+    is_new = [not (place < len(known) and known[place] == text) for place, text in zip(positions, others, strict=True)]
+    places, fresh = np.array(positions, np.int64), np.array(is_new, np.bool_)
     if not fresh.any():
         return known, None, places, 0
     texts: list[str] = []
@@ -182,12 +182,12 @@ def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str],
 
 
 def _coded(codes: "npt.NDArray[np.int32] | None", to: Codes | None) -> "npt.NDArray[np.int32] | None":
-    """Codes translated by `to`, the new code of each old one; -1 stays, and None translates nothing."""
+    """Codes replaced by the new code that `to` has for each; -1 stays. With None for `to`, all codes stay."""
     return codes if codes is None or to is None else np.append(to, -1).astype(np.int32)[codes]
 
 
 def read(connection: sa.Connection, map_id: int, path: Path, after: int = 0) -> tuple[Sequence64, Column]:
-    """Sequence numbers, ascending, of a map's views behind `after`, and a field of these views; raises NotExact."""
+    """Views of a map with sequence numbers above `after`, ascending, and a field of each of them; raises NotExact."""
     name = path[0] if path[0] in VIEWS.c else "metadata"
     wanted = sa.select(VIEWS.c.seq, VIEWS.c[name]).where(VIEWS.c.map_id == map_id, VIEWS.c.seq > after)
     rows = connection.execute(wanted.order_by(VIEWS.c.seq)).all()
@@ -202,8 +202,8 @@ def read(connection: sa.Connection, map_id: int, path: Path, after: int = 0) -> 
         known = ~np.isnan(numbers)
         return seqs, Column(known, numbers, known)
     if path[0] == "=":
-        return seqs, _texts(_each(fields, lambda document: _pair(document, path[1])))
-    return seqs, _mixed(_each(fields, lambda document: _at(document, path[1:])))
+        return seqs, _texts(_each(fields, lambda document: _text_under(document, path[1])))
+    return seqs, _mixed(_each(fields, lambda document: _value_at(document, path[1:])))
 
 
 def micros(moment: datetime) -> int:
@@ -220,7 +220,7 @@ MISSING = _Missing()
 
 
 def _each(documents: Iterable[object], field: Any) -> list[Any]:
-    """A field of each document: metadata is often the same, and then read once."""
+    """A field of each document, by a function; equal documents, as metadata often are, are parsed once."""
     known: dict[object, Any] = {}
     found = []
     for text in documents:
@@ -233,7 +233,7 @@ def _each(documents: Iterable[object], field: Any) -> list[Any]:
     return found
 
 
-def _at(document: object, keys: Sequence[str]) -> object:
+def _value_at(document: object, keys: Sequence[str]) -> object:
     for key in keys:
         if not isinstance(document, dict) or key not in document:
             return MISSING
@@ -241,7 +241,7 @@ def _at(document: object, keys: Sequence[str]) -> object:
     return document
 
 
-def _pair(document: object, key: str) -> object:
+def _text_under(document: object, key: str) -> object:
     return text_of(document[key]) if isinstance(document, dict) and key in document else MISSING
 
 
@@ -252,10 +252,10 @@ def _times(fields: Sequence[datetime | None]) -> Column:
 
 
 def _texts(fields: Sequence[object]) -> Column:
-    """A column of texts; what is none is not there."""
+    """A column of texts; a field of any other type counts as missing."""
     texts = sorted({one for one in fields if isinstance(one, str)})
-    at = {text: code for code, text in enumerate(texts)}
-    codes = np.fromiter((at[one] if isinstance(one, str) else -1 for one in fields), np.int32, len(fields))
+    code_of = {text: code for code, text in enumerate(texts)}
+    codes = np.fromiter((code_of[one] if isinstance(one, str) else -1 for one in fields), np.int32, len(fields))
     return Column(codes >= 0, codes=codes, texts=texts, texts_size=sum(map(sys.getsizeof, texts)))
 
 
