@@ -18,30 +18,33 @@ MakeIndex = Callable[[DescriptionRecipe], Index]
 log = logging.getLogger("revisit")
 
 PREPARE_S = 2.0
-"""Seconds after which a map that is changing to another recipe is looked at again for what was described by it."""
+"""Seconds after which the prepared index of a map that is changing gets what was described by the new recipe since."""
 
 KEPT_S = 60.0
-"""Seconds for which what was prepared is kept of a map that is not changing, or not any more."""
+"""Seconds for which a prepared index is kept when its map is not, or no longer, changing to that recipe."""
 
 
 @dataclass
 class _Held:
-    """An index of the map with this number; `read_at`, on the monotonic clock, of one that is read ahead."""
+    """An index of the map with this number.
+
+    `read_at` is when it was last brought up to date, by the monotonic clock, if it is prepared ahead of a change.
+    """
 
     index: Index
     number: int
     read_at: float = 0.0
 
     def is_of(self, record: MapRecord, recipe: str) -> bool:
-        """Whether it is of this very map, by this recipe; one made or restored under its name is another."""
+        """Whether it is of this map and this recipe. A map that was made or restored under the same name is another."""
         return self.number == record.number and self.index.recipe == recipe
 
 
 class Catalogue:
     """Indexes of all maps, built when first needed. A cache of the store.
 
-    While a map is described by another recipe the index by that one is read beside, in a thread of its own, so that the
-    first query after the change does not wait for it.
+    While a map is being described by another recipe, the index by that recipe is prepared in a thread of its own, so
+    that the first query after the change does not wait for it.
 
     Parameters
     ----------
@@ -81,7 +84,7 @@ class Catalogue:
                     or not held.is_of(record, record.description.id)
                     or held.index.revision > record.revision  # which never goes back, but by damage or a backup
                 ):
-                    held = self._taken(name, record) or _Held(self._make(record.description), record.number)
+                    held = self._take_prepared(name, record) or _Held(self._make(record.description), record.number)
                     self._forget_deleted()
                 if held.index.revision < record.revision:
                     changes = self._descriptions.since(name, held.index.revision)
@@ -99,7 +102,7 @@ class Catalogue:
         return self._fixed.of(index.sample(), recipe)
 
     def prepare(self, name: str, recipe: DescriptionRecipe) -> None:
-        """Read what a map has by a recipe that it is about to change to, so that no query has to.
+        """Prepare the index of a map by a recipe that it is about to change to, so that no query has to read it.
 
         Raises
         ------
@@ -125,8 +128,8 @@ class Catalogue:
         if thread is not None:
             thread.join()
 
-    def _taken(self, name: str, record: MapRecord) -> _Held | None:
-        """What was prepared of a map that has changed over to its recipe, up to the map's revision."""
+    def _take_prepared(self, name: str, record: MapRecord) -> _Held | None:
+        """The index that was prepared for the recipe that a map has changed over to, brought up to date; else None."""
         if name not in self._prepared:
             return None
         with self._preparing:
@@ -139,10 +142,13 @@ class Catalogue:
             return known
 
     def _look_ahead(self, record: MapRecord) -> None:
-        """Begin to prepare a map that is changing, unless that was done a moment ago; drop what is no longer needed."""
+        """Begin to prepare the next index of a map that is changing, unless that was done a moment ago.
+
+        A prepared index that is no longer needed is dropped.
+        """
         known, now = self._prepared.get(record.name), time.monotonic()
         changing = record.following is not None and record.shadow is None
-        if not changing:  # what a change that was told to come has prepared is kept for its moment
+        if not changing:  # kept for a while: `prepare` may have been called for a change that begins now
             if known is not None and now - known.read_at > KEPT_S:
                 self._prepared.pop(record.name, None)
             return
@@ -173,12 +179,12 @@ class Catalogue:
         return {}
 
     def _forget_deleted(self) -> None:
-        """Drop the indexes of maps that another process deleted, which tells nobody; done when one is added."""
+        """Drop the indexes of maps that another process deleted, of which this one is not notified."""
         present = self._maps.numbers()
         with self._lock:
-            for held in (self._indexes, self._prepared):
-                for name in [name for name, one in held.items() if one.number not in present]:
-                    held.pop(name, None)
+            for indexes in (self._indexes, self._prepared):
+                for name in [name for name, held in indexes.items() if held.number not in present]:
+                    indexes.pop(name, None)
 
     def forget(self, name: str) -> None:
         """Drop the indexes of a deleted map."""

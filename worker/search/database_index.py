@@ -19,12 +19,12 @@ from worker.search.ports import SAMPLE, DescriptionReader, SearchableIndex, Vect
 _NONE = np.zeros(0, np.int64)
 
 ROUNDS = 10
-"""Attempts to meet a map and its vectors at one revision."""
+"""Attempts to find a map and its vectors at the same revision."""
 
 
 @dataclass(frozen=True)
 class DatabaseIndex:
-    """The index of a map as `standing` found it; see `worker.search.ports.SearchableIndex`.
+    """The index of a map at one revision; see `worker.search.ports.SearchableIndex`.
 
     The database finds the nearest views; a `FlatIndex` of those alone ranks them, so that distances and ties come out
     as they do in memory.
@@ -35,23 +35,23 @@ class DatabaseIndex:
     name : str
         Of the map.
     map_id : int
-    of : DescriptionRecipe
+    description : DescriptionRecipe
     revision : int
-        What it has at least.
+        Searches are of this revision of the map, or a later one.
     approximate : bool
     """
 
     vectors: VectorReader
     name: str
     map_id: int
-    of: DescriptionRecipe
+    description: DescriptionRecipe
     revision: int
     approximate: bool
 
     @property
     def recipe(self) -> str:
         """Id of the description recipe of its vectors."""
-        return self.of.id
+        return self.description.id
 
     def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
         """The union of the `count` nearest views of the selection by each channel.
@@ -66,7 +66,7 @@ class DatabaseIndex:
         found = self.vectors.nearest(
             self.name,
             self.map_id,
-            self.of,
+            self.description,
             vectors,
             count,
             selection,
@@ -75,7 +75,7 @@ class DatabaseIndex:
         )
         if found is None:
             raise ViewGone
-        return _ranked(found, self.of, vectors, count)
+        return _ranked(found, self.description, vectors, count)
 
     def sample(self) -> tuple[int, ...]:
         """Some views drawn from all; see `worker.search.ports.SearchableIndex`."""
@@ -83,6 +83,7 @@ class DatabaseIndex:
 
 
 def _ranked(found: VectorsFound, recipe: DescriptionRecipe, vectors: Mapping[str, Floats], count: int) -> Candidates:
+    """The views that the database found, ranked by an index in memory of these alone."""
     flat = FlatIndex.of(recipe)
     flat.apply(Changes(found.revision, recipe.id, found.seqs, found.vectors, _NONE))
     ranked = flat.search(vectors, count, Selection(None, _NONE))
@@ -116,9 +117,9 @@ class DatabaseCatalogue:
         """
         least: int | None = None
         for attempt in count():
-            record, map_id, revision = self._vectors.standing(name)
+            record, map_id, revision = self._vectors.look_up(name)
             least = record.revision if least is None else least
-            # Of a map that others change without a pause, all changes before this call are enough.
+            # A map that others change all the time is searched with all changes before this call.
             if revision is not None and revision >= (record.revision if attempt < ROUNDS else least):
                 recipe = record.description
                 return DatabaseIndex(self._vectors, name, map_id, recipe, revision, self._approximate), record
@@ -129,7 +130,8 @@ class DatabaseCatalogue:
         """What is fixed to the camera that took the views of an index; its sample is read once for each revision."""
         if not isinstance(index, DatabaseIndex):  # one in memory, of a shadow
             return self._fixed.of(index.sample(), recipe)
-        key = index.map_id, index.recipe, index.revision  # a new map has the revision of the one changed last
+        # With the number: a new map begins with the last revision that any map was given.
+        key = index.map_id, index.recipe, index.revision
         sample = self._samples.get(key)
         if sample is None:
             sample = self._samples[key] = index.sample()

@@ -24,8 +24,8 @@ class Fetcher:
     comparisons : ComparisonReader
     recipe : str
         Id of the description recipe.
-    of_map : function, optional
-        Sequence number to which of several maps; None where one map is searched.
+    map_of : function, optional
+        From a sequence number to the number of its map among several; None where one map is searched.
     fixed : sequence of CameraFixed or None
         What is fixed to the cameras that took the views: cells that show it are zero.
     """
@@ -35,12 +35,12 @@ class Fetcher:
         descriptions: DescriptionReader,
         comparisons: ComparisonReader,
         recipe: str,
-        of_map: Callable[[int], int] | None = None,
+        map_of: Callable[[int], int] | None = None,
         fixed: Sequence[CameraFixed | None] = (),
     ) -> None:
         self._fixed = [one for one in fixed if one is not None]
         self._descriptions, self._comparisons, self._recipe = descriptions, comparisons, recipe
-        self._of_map = of_map
+        self._map_of = map_of
 
     def without_fixed(self, query: Description) -> Description:
         """The query without what is fixed to these cameras; candidates come without it too."""
@@ -67,9 +67,9 @@ class Fetcher:
     def known(self, seqs: Sequence[int]) -> list[KnownView]:
         """Names, positions and the map's own comparisons."""
         known = _in_order(self._comparisons.known(seqs, self._recipe), seqs)
-        if self._of_map is None:
+        if self._map_of is None:
             return known
-        return [replace(one, map=self._of_map(seq)) for one, seq in zip(known, seqs, strict=True)]
+        return [replace(one, map=self._map_of(seq)) for one, seq in zip(known, seqs, strict=True)]
 
 
 def _in_order(found: Mapping[int, T], seqs: Sequence[int]) -> list[T]:

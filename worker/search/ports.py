@@ -45,7 +45,7 @@ class SearchableIndex(Protocol):
         ...
 
     def sample(self) -> tuple[int, ...]:
-        """Up to `SAMPLE` of its views, by sequence number, drawn from all; of the same views always the same."""
+        """Up to `SAMPLE` of its views, by sequence number, drawn from all: always the same ones of the same views."""
         ...
 
 
@@ -114,12 +114,15 @@ class Selecting(Protocol):
 class VectorReader(Protocol):
     """Vectors that the database itself searches."""
 
-    def standing(self, name: str) -> tuple[MapRecord, int, int | None]:
-        """A map, its number, and the revision up to which it can be searched, None: it has to follow; NotFound."""
+    def look_up(self, name: str) -> tuple[MapRecord, int, int | None]:
+        """A map, its number, and the revision up to which it can be searched; raises NotFound.
+
+        None for the revision: `follow` has to be called first.
+        """
         ...
 
     def follow(self, name: str) -> None:
-        """Bring what is searched up to the map's revision; raises NotFound."""
+        """Bring the searched vectors of a map up to its revision; raises NotFound."""
         ...
 
     def revisions(self) -> Mapping[str, int]:
@@ -131,7 +134,7 @@ class VectorReader(Protocol):
         ...
 
     def sample(self, map_id: int, recipe: str, count: int) -> list[int]:
-        """Up to `count` views described by a recipe, the first by `schemas.draw`."""
+        """Up to `count` views described by a recipe, by sequence number: the first in the order of `schemas.draw`."""
         ...
 
     def nearest(
@@ -146,7 +149,10 @@ class VectorReader(Protocol):
         least: int,
         approximate: bool,
     ) -> VectorsFound | None:
-        """The nearest views by each channel, as of one revision, at least `least`; None: the map is another by now."""
+        """The nearest views by each channel, as of one revision that is `least` or later.
+
+        None when the name is that of another map by now, or the map has another recipe.
+        """
         ...
 
 

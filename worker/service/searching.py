@@ -272,8 +272,8 @@ def _map_of(several: Sequence[Candidates]) -> Callable[[int], int] | None:
     """Which of several maps a candidate is of."""
     if len(several) == 1:
         return None
-    of_map = {int(seq): number for number, one in enumerate(several) for seq in one.seqs}
-    return of_map.__getitem__
+    map_of = {int(seq): number for number, one in enumerate(several) for seq in one.seqs}
+    return map_of.__getitem__
 
 
 def without(selection: Selection, gone: frozenset[int]) -> Selection:

@@ -59,7 +59,7 @@ class _Columns:
 
     @property
     def state(self) -> tuple[int, int]:
-        """Greater for a later state of the map. An enrolment counts by `newest`: its revision comes with its description."""
+        """Greater for a later state of the map. An enrolment shows in `newest` before it has a revision."""
         return self.revision, self.newest
 
     @property

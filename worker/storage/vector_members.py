@@ -27,51 +27,53 @@ class _Known:
 
 
 class Members:
-    """Follows the searched views of each map by revision; for any thread."""
+    """The searched views of each map, brought up to date by revision. Safe to use from several threads."""
 
     def __init__(self) -> None:
         self._known: dict[int, _Known] = {}
         self._lock = threading.Lock()
 
-    def of(self, connection: sa.Connection, row: sa.Row[Any], held: sa.Row[Any]) -> Sequence64:
+    def of(self, connection: sa.Connection, row: sa.Row[Any], searched: sa.Row[Any]) -> Sequence64:
         """The sequence numbers of a map's searched views in a transaction's snapshot, ascending.
 
         Parameters
         ----------
         connection : Connection
         row
-            Of the map.
-        held
-            Of the map by a recipe among the searched ones.
+            The row of the map.
+        searched
+            The row of the map and its recipe in `searched_maps`.
         """
         with self._lock:
-            known = self._known.get(held.id)
-        if known is None or known.anew != row.anew or known.revision > held.revision or known.deleted > row.revision:
-            own = SEARCHED_VECTORS.c.searched_id == held.id, SEARCHED_VECTORS.c.channel == 0
+            known = self._known.get(searched.id)
+        if known is not None and (known.revision > searched.revision or known.deleted > row.revision):
+            known = None  # of a later snapshot than that of the transaction
+        if known is None or known.anew != row.anew:
+            own = SEARCHED_VECTORS.c.searched_id == searched.id, SEARCHED_VECTORS.c.channel == 0
             seqs = np.sort(_array(connection.scalars(sa.select(SEARCHED_VECTORS.c.seq).where(*own))))
-        elif (known.revision, known.deleted) == (held.revision, row.revision):
+        elif (known.revision, known.deleted) == (searched.revision, row.revision):
             return known.seqs
         else:
             later = TOMBSTONES.c.map_id == row.id, TOMBSTONES.c.revision > known.deleted
             gone = _array(connection.scalars(sa.select(TOMBSTONES.c.seq).where(*later)))
-            seqs = np.union1d(np.setdiff1d(known.seqs, gone), _added(connection, row.id, held, known.revision))
-        present = None if held.id in self._known else set(connection.scalars(sa.select(SEARCHED_MAPS.c.id)))
+            seqs = np.union1d(np.setdiff1d(known.seqs, gone), _added(connection, row.id, searched, known.revision))
+        present = None if searched.id in self._known else set(connection.scalars(sa.select(SEARCHED_MAPS.c.id)))
         with self._lock:
-            if present is not None:  # those of maps that were deleted, or left their recipe, go
+            if present is not None:  # drop those of maps that were deleted or have another recipe
                 self._known = {one: known for one, known in self._known.items() if one in present}
-            self._known[held.id] = _Known(int(held.revision), int(row.revision), int(row.anew), seqs)
+            self._known[searched.id] = _Known(int(searched.revision), int(row.revision), int(row.anew), seqs)
         return seqs
 
 
-def _added(connection: sa.Connection, map_id: int, held: sa.Row[Any], revision: int) -> Sequence64:
-    """Views described since a revision that are searched."""
+def _added(connection: sa.Connection, map_id: int, searched: sa.Row[Any], revision: int) -> Sequence64:
+    """The searched views that were described since a revision."""
     since = sa.select(DESCRIPTIONS.c.seq).where(
         DESCRIPTIONS.c.map_id == map_id,
-        DESCRIPTIONS.c.recipe == held.recipe,
+        DESCRIPTIONS.c.recipe == searched.recipe,
         DESCRIPTIONS.c.revision > revision,
-        DESCRIPTIONS.c.revision <= held.revision,
+        DESCRIPTIONS.c.revision <= searched.revision,
     )
-    own = SEARCHED_VECTORS.c.searched_id == held.id, SEARCHED_VECTORS.c.channel == 0
+    own = SEARCHED_VECTORS.c.searched_id == searched.id, SEARCHED_VECTORS.c.channel == 0
     found: list[int] = []
     for portion in batches(list(connection.scalars(since))):
         there = sa.select(SEARCHED_VECTORS.c.seq).where(*own, SEARCHED_VECTORS.c.seq.in_(portion))

@@ -26,7 +26,7 @@ from worker.storage.vector_members import Members
 from worker.storage.vector_tables import SEARCHED_MAPS, SEARCHED_VECTORS, Vector, see_extension
 
 SPARE = 8
-"""Extra neighbours beyond those wanted, as in the index in memory: ties at the limit are broken by enrolment order."""
+"""Extra neighbours searched, as in the index in memory, so that ties at the limit are broken by enrolment order."""
 
 EFFORT = 4
 """Entries that HNSW keeps in its search (`ef_search`), as a multiple of the neighbours that are wanted."""
@@ -45,8 +45,8 @@ class Scope:
     allowed: Sequence[sa.ColumnElement[bool]]
     on_views: bool  # whether a condition needs the table of views
 
-    def of(self) -> tuple[sa.ColumnElement[bool], ...]:
-        """Its conditions; the first two as literals, as the definition of an HNSW index has them."""
+    def conditions(self) -> tuple[sa.ColumnElement[bool], ...]:
+        """All conditions; the first two as literals, as the definition of an HNSW index has them."""
         return (
             sa.literal_column(f"{SEARCHED_VECTORS.name}.searched_id = {int(self.searched_id)}", sa.Boolean),
             sa.literal_column(f"{SEARCHED_VECTORS.name}.channel = {int(self.channel)}", sa.Boolean),
@@ -58,7 +58,7 @@ class Scope:
         source: Any = SEARCHED_VECTORS
         if self.on_views:
             source = SEARCHED_VECTORS.join(VIEWS, VIEWS.c.seq == SEARCHED_VECTORS.c.seq)
-        return sa.select(*columns).select_from(source).where(*self.of())
+        return sa.select(*columns).select_from(source).where(*self.conditions())
 
 
 class VectorSearch(Part):
@@ -74,14 +74,14 @@ class VectorSearch(Part):
             found = vector_tables.fault(connection)
         return found or "ok"
 
-    def standing(self, name: str) -> tuple[MapRecord, int, int | None]:
+    def look_up(self, name: str) -> tuple[MapRecord, int, int | None]:
         """A map, its number, and the revision up to which it can be searched, in one snapshot; raises NotFound."""
         with self._database.reading() as connection:
             row = find_map(connection, name)
-            held = held_of(connection, row.id, row.recipe)
+            searched = searched_row(connection, row.id, row.recipe)
             record = map_record(connection, row)
-        revision = None if held is None else held.revision
-        # Later than the map only by damage or a backup, and older than its last change of recipe: to be filled again.
+        revision = None if searched is None else searched.revision
+        # A revision before the last change of recipe, or after that of the map (by damage or a backup), is of no use.
         return record, int(row.id), revision if revision is not None and row.anew <= revision <= row.revision else None
 
     def follow(self, name: str) -> None:
@@ -112,7 +112,7 @@ class VectorSearch(Part):
             return {row.name: float(row.recall) for row in rows}
 
     def sample(self, map_id: int, recipe: str, count: int) -> list[int]:
-        """Up to `count` views of a map described by a recipe, the first by `schemas.draw`."""
+        """Up to `count` views of a map described by a recipe: the first in the order of `schemas.draw`."""
         of = DESCRIPTIONS.c.map_id == map_id, DESCRIPTIONS.c.recipe == recipe
         with self._database.reading() as connection:
             drawn = sa.select(DESCRIPTIONS.c.seq).where(*of).order_by(draw_order(DESCRIPTIONS.c.seq)).limit(count)
@@ -136,14 +136,14 @@ class VectorSearch(Part):
         ----------
         name : str
         map_id : int
-            The map's number, as `standing` gave it.
+            The map's number, as `look_up` gave it.
         recipe : DescriptionRecipe
         vectors : mapping of channel to float32 of shape (dimensions,)
         count : int
             Views of each channel; some more are returned, for ties.
         selection : Selection
         least : int
-            The revision that it has to have, at least.
+            The oldest revision that may be searched.
         approximate : bool
             Whether HNSW may be used, where there is such an index.
 
@@ -160,17 +160,17 @@ class VectorSearch(Part):
         while True:
             with self._database.reading() as connection:
                 row = find_map(connection, name)
-                held = None if row.id != map_id else held_of(connection, map_id, recipe.id)
-                if held is None or held.revision is None or held.revision < least:
+                searched = None if row.id != map_id else searched_row(connection, map_id, recipe.id)
+                if searched is None or searched.revision is None or searched.revision < least:
                     return None
-                members = self._members.of(connection, row, held)
+                members = self._members.of(connection, row, searched)
                 chosen = self._chosen(connection, map_id, selection, never)
                 available = _count(members, chosen)
                 wanted = min(count + SPARE, available)
                 see_extension(connection)
                 found = [
                     nearest(connection, scope, vectors[channel], wanted, approximate=approximate)
-                    for channel, scope in self._scopes(connection, held.id, map_id, recipe, selection, chosen)
+                    for channel, scope in self._scopes(connection, searched.id, map_id, recipe, selection, chosen)
                     if channel in vectors
                 ]
                 union = np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
@@ -178,7 +178,7 @@ class VectorSearch(Part):
             if not damaged:
                 rows = np.stack(bodies) if bodies else np.zeros((0, 0), np.float32)
                 order = np.searchsorted(members, union).astype(np.int64)
-                return VectorsFound(int(held.revision), available, union, rows, order)
+                return VectorsFound(int(searched.revision), available, union, rows, order)
             self._quarantine.descriptions(dict.fromkeys(damaged, VECTORS.name), recipe.id)
             never = np.union1d(never, np.array(damaged, np.int64))
 
@@ -198,7 +198,7 @@ class VectorSearch(Part):
         selection: Selection,
         chosen: Selection,
     ) -> Iterator[tuple[str, Scope]]:
-        """Each channel with the conditions of a selection: its filters on the table of views, inside the search."""
+        """Each channel with its scope. The filters of a selection become conditions on the table of views."""
         conditions: list[sa.ColumnElement[bool]] = []
         if selection.filters is not None and chosen.only is not None:
             conditions += allowing(connection, selection.filters, [VIEWS.c.map_id == map_id])
@@ -207,8 +207,8 @@ class VectorSearch(Part):
         on_views = selection.filters is not None and bool(conditions)
         if len(chosen.never):
             conditions.append(SEARCHED_VECTORS.c.seq != sa.func.all(_array(chosen.never)))
-        for number, (channel, of) in enumerate(recipe.parameters.channels.items()):
-            yield channel, Scope(searched_id, number, of.length, conditions, on_views)
+        for number, (name, channel) in enumerate(recipe.parameters.channels.items()):
+            yield name, Scope(searched_id, number, channel.length, conditions, on_views)
 
 
 def nearest(connection: sa.Connection, scope: Scope, vector: Floats, wanted: int, *, approximate: bool) -> Sequence64:
@@ -235,14 +235,14 @@ _HNSW = sa.text(
 )
 
 
-def held_of(connection: sa.Connection, map_id: int, recipe: str) -> sa.Row[Any] | None:
-    """What is known of a map by a recipe; None before it was searched."""
+def searched_row(connection: sa.Connection, map_id: int, recipe: str) -> sa.Row[Any] | None:
+    """The row of a map and a recipe in `searched_maps`; None before it was searched."""
     own = SEARCHED_MAPS.c.map_id == map_id, SEARCHED_MAPS.c.recipe == recipe
     return connection.execute(sa.select(SEARCHED_MAPS).where(*own)).one_or_none()
 
 
 def _count(members: Sequence64, chosen: Selection) -> int:
-    """How many of some views are chosen."""
+    """How many of the searched views a selection allows."""
     allowed = members if chosen.only is None else np.intersect1d(members, chosen.only, assume_unique=True)
     return len(allowed) - len(np.intersect1d(allowed, chosen.never, assume_unique=True))
 
@@ -250,7 +250,7 @@ def _count(members: Sequence64, chosen: Selection) -> int:
 def stored_vectors(
     connection: sa.Connection, seqs: Sequence64, recipe: str
 ) -> tuple[list[npt.NDArray[np.float32]], list[int]]:
-    """Vectors of views from the table that is the truth, in their order, and which views' are damaged."""
+    """Vectors of views, in their order, from the table of descriptions; and the views whose vectors are damaged."""
     found: dict[int, npt.NDArray[np.float32]] = {}
     for portion in batches(int(seq) for seq in seqs):
         reading = sa.select(VECTORS).where(VECTORS.c.seq.in_(portion), VECTORS.c.recipe == recipe)
