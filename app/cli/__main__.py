@@ -8,8 +8,8 @@ import os
 import sys
 from collections.abc import Sequence
 
-from app.cli.console import DONE, FAILED, WRONG_USE, Failure, error_text, say
 from app.cli.filters import points_joined
+from app.cli.output import DONE, FAILED, WRONG_USE, Failure, error_text, say
 from app.version import VERSION
 
 GROUPS = (
@@ -26,12 +26,12 @@ GROUPS = (
     "recipes",
     "shadow",
     "calibrate",
-    "map_health",
+    "health",
     "privacy",
     "inbox",
-    "health",
+    "running",
     "keys",
-    "care",
+    "migrate",
     "snapshots",
     "doctor",
     "study",

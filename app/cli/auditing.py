@@ -4,7 +4,7 @@ import io
 import random
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import progress_bar
+from app.cli.output import progress_bar
 
 if TYPE_CHECKING:
     from revisit_client import Revisit

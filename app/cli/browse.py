@@ -6,8 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Verbs, json_object, say, show, show_json, size, speaks, table, wrong_use
-from app.cli.filters import chooses, chosen
+from app.cli.filters import add_filter_options, filters_of
+from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.output import DONE, say, show, show_json, size, table, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -28,13 +29,13 @@ def add(verbs: Verbs) -> None:
         help="whether the named map refuses images that are dark, overexposed, covered or blurred, show mostly what "
         "moves, or are nearly in it already",
     )
-    speaks(maps)
+    add_service_options(maps)
     maps.set_defaults(run=run_maps)
 
     views = verbs.add_parser("views", help="list views, show, change or delete one")
     views.add_argument("id", nargs="?", help="show this view")
     views.add_argument("--map", help="of this map alone")
-    chooses(views)
+    add_filter_options(views)
     views.add_argument("--words", help="labels such as fence,pole+sign: views of --map by how much of them these are")
     views.add_argument("--state", choices=("pending", "ready", "failed"), help="of this state alone")
     views.add_argument("--limit", type=int, metavar="N", help=f"at most so many (default: {LISTED})")
@@ -51,12 +52,12 @@ def add(verbs: Verbs) -> None:
     )
     for kind in ("image", "segmentation", "graph"):
         views.add_argument(f"--{kind}", type=Path, metavar="FILE", help=f"write the named view's {kind} to a file")
-    speaks(views)
+    add_service_options(views)
     views.set_defaults(run=run_views)
 
     places = verbs.add_parser("places", help="list places")
     places.add_argument("--map", help="of this map alone")
-    speaks(places)
+    add_service_options(places)
     places.set_defaults(run=run_places)
 
 
@@ -109,7 +110,7 @@ def run_views(arguments: argparse.Namespace) -> int:
     limit = LISTED if arguments.limit is None else arguments.limit
     if limit < 1:
         wrong_use("--limit is at least 1")
-    filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
+    filters, changes = filters_of(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
     _check_what_is_chosen(arguments, filters)
     if arguments.delete and (changes is not None or any(drawn.values())):
         wrong_use("--delete cannot be given with --set, --image, --segmentation or --graph: do those before it")

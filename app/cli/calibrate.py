@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Failure, Verbs, progress_bar, say, show, show_json, speaks, table, wrong_use
 from app.cli.loops import OF_ONE_IMAGE
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, Failure, progress_bar, say, show, show_json, table, wrong_use
 from schemas.values import composed
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def add(verbs: Verbs) -> None:
     )  # fmt: skip
     parser.add_argument("--dry-run", action="store_true", help="report, and keep nothing")
     parser.add_argument("--forget", action="store_true", help="return to the shipped calibration")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

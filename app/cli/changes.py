@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, say, show, show_json, table
 
 if TYPE_CHECKING:
     from revisit_client.wire import Changes, Spot
@@ -16,7 +17,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("view", metavar="VIEW", help="id of the later view")
     parser.add_argument("--since", required=True, metavar="VIEW", help="id of the earlier view")
     parser.add_argument("--drawing", type=Path, metavar="PNG", help="draw both, with what changed outlined")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import demo_images, images
-from app.cli.console import DONE, FAILED, Failure, Verbs, progress_bar, say, show, show_json, table, wrong_use
+from app.cli.options import Verbs
+from app.cli.output import DONE, FAILED, Failure, progress_bar, say, show, show_json, table, wrong_use
 from app.cli.service import started
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _photos(folder: Path) -> list[Path]:
     if not folder.is_dir():
         wrong_use(f"{folder}: there is no such folder")
-    found = images.found([str(folder)])
+    found = images.find([str(folder)])
     if len(found) < 2:
         wrong_use(f"{folder}: needs at least two images, has {len(found)}")
     return found

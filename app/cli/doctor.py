@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.auditing import SAMPLE, audit
-from app.cli.console import DONE, FAILED, Failure, Verbs, show, show_json, size, speaks
-from app.cli.listening import of_this_environment
+from app.cli.listening import url_of_environment
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, FAILED, Failure, show, show_json, size
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def add(verbs: Verbs) -> None:
         action="store_true",
         help="mend damaged data; the service and its workers must be stopped. Exit code 1 when findings are left",
     )
-    speaks(doctor)
+    add_service_options(doctor)
     doctor.set_defaults(run=run_doctor)
 
 
@@ -157,7 +158,7 @@ def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, An
     """Check the running service: readiness, and whether enrolled images find themselves; appends to `findings`."""
     from revisit_client import ClientError, Revisit, Unreachable
 
-    with Revisit(arguments.url or of_this_environment(), key=arguments.key, patience=10) as revisit:
+    with Revisit(arguments.url or url_of_environment(), key=arguments.key, patience=10) as revisit:
         try:
             readiness = revisit.readyz()
         except Unreachable:

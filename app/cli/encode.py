@@ -6,8 +6,9 @@ import socket
 from typing import TYPE_CHECKING
 
 from app.cli import logs
-from app.cli.console import Failure, Verbs, show
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
+from app.cli.options import Verbs
+from app.cli.output import Failure, show
 from app.cli.processor import check_processor
 from app.cli.serve import settings_of
 from app.cli.starting import collecting_nothing

@@ -9,20 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from app.cli import images
-from app.cli.console import (
-    DONE,
-    FAILED,
-    Failure,
-    Verbs,
-    error_text,
-    json_object,
-    progress_bar,
-    say,
-    show,
-    show_json,
-    speaks,
-    wrong_use,
-)
+from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.output import DONE, FAILED, Failure, error_text, progress_bar, say, show, show_json, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -99,7 +87,7 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("--dry-run", action="store_true", help="only say what would be enrolled, and with what")
     parser.add_argument("--parallel", type=int, default=4, metavar="N", help="images sent at once (default: 4)")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -161,7 +149,7 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
         wrong_use("--x and --y are one position: give both")
     metadata = json_object("--metadata", arguments.metadata, '{"floor": 2}')
     of_all = _of_all(arguments, metadata)
-    paths = images.found(arguments.paths, skipped)
+    paths = images.find(arguments.paths, skipped)
     of_exif = _of_exif(paths) if arguments.exif else {}
     for path in paths:
         known = dict(of_all)
@@ -189,7 +177,7 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
 
 def _of_exif(paths: Sequence[Path]) -> dict[Path, images.Known]:
     """What the EXIF of each image says."""
-    with images.exif_read() as read_exif:
+    with images.exif_reader() as read_exif:
         return {path: read_exif(path) for path in paths}
 
 

@@ -1,17 +1,17 @@
-"""Options that choose views, of `query` and `views`."""
+"""Options of `query` and `views` that filter views."""
 
 import argparse
 import re
 from collections.abc import Sequence
 from typing import Any
 
-from app.cli.console import wrong_use
+from app.cli.output import wrong_use
 
 _POINT = re.compile(r"-[\d.][^\s]*,\S*")
 
 
-def chooses(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
+def add_filter_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that filter views."""
     parser.add_argument("--place", help="views of this place only")
     parser.add_argument("--near", metavar="X,Y,RADIUS", help="views near this point only; or LAT,LON,RADIUS")
     frame = parser.add_mutually_exclusive_group()
@@ -29,7 +29,7 @@ def chooses(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exclude", metavar="ID,...", help="leave out these views")
 
 
-def chosen(arguments: argparse.Namespace) -> dict[str, Any]:
+def filters_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """The options as arguments of `Revisit.query` and `Revisit.views`; raises Failure (exit code 2)."""
     if arguments.geographic is not None and arguments.near is None:
         wrong_use("--geo and --metric say what --near is: give that too")

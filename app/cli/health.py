@@ -1,69 +1,45 @@
-"""``revisit healthcheck | version | openapi``: readiness, versions and API of a service."""
+"""``revisit health``: what a map lacks or suffers from, and what to do about it."""
 
 import argparse
 
-from app.cli.console import DONE, FAILED, Verbs, say, show, show_json, speaks, table
-from app.cli.listening import of_this_environment
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, say, show, show_json
 
 
 def add(verbs: Verbs) -> None:
-    """Declare the commands."""
-    check = verbs.add_parser("healthcheck", help="exit 0 when the service is ready, 1 when not")
-    speaks(check)
-    check.set_defaults(run=run_healthcheck)
-    version = verbs.add_parser("version", help="the installed version; with --service, that of the running service")
-    version.add_argument("--service", action="store_true", help="query the running service")
-    speaks(version)
-    version.set_defaults(run=run_version)
-    openapi = verbs.add_parser("openapi", help="the OpenAPI document of the running service")
-    speaks(openapi)
-    openapi.set_defaults(run=run_openapi)
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "health",
+        help="places that a map confuses, places that age, duplicates, directions and stretches without views",
+        description="What makes a map's answers wrong or missing, and what to do about it.",
+    )
+    parser.add_argument("map", nargs="?", default="default", help="which map (default: default)")
+    parser.add_argument(
+        "--code",
+        choices=("twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"),
+        help="findings of this kind alone",
+    )
+    parser.add_argument("--limit", type=int, metavar="N", help="at most so many of each kind (default: 20)")
+    add_service_options(parser)
+    parser.set_defaults(run=run)
 
 
-def run_healthcheck(arguments: argparse.Namespace) -> int:
-    """Call `/readyz`, by default where `serve` listens by REVISIT_HOST and REVISIT_PORT, as a container's health check
-    and a unit of systemd need."""
+def run(arguments: argparse.Namespace) -> int:
+    """Print the findings."""
     from revisit_client import Revisit
 
-    url = arguments.url or of_this_environment()
-    with Revisit(url, key=arguments.key, timeout=5, patience=0) as revisit:
-        readiness = revisit.readyz()
+    with Revisit(arguments.url, key=arguments.key) as revisit:
+        health = revisit.health(arguments.map, code=arguments.code, limit=arguments.limit)
     if arguments.json:
-        show_json(readiness.model_dump(mode="json"))
-    elif readiness.ready:
-        show("ready")
-    else:
-        for part, state in readiness.checks.items():
-            say(f"{part}: {state}")
-    return DONE if readiness.ready else FAILED
-
-
-def run_version(arguments: argparse.Namespace) -> int:
-    """Print versions."""
-    from app.version import VERSION
-
-    if not arguments.service:
-        if arguments.json:
-            show_json({"version": VERSION})
-        else:
-            show(f"revisit {VERSION}")
+        show_json(health.model_dump(mode="json"))
         return DONE
-    from revisit_client import Revisit
-
-    with Revisit(arguments.url, key=arguments.key) as revisit:
-        facts = revisit.version().model_dump(mode="json")
-    if arguments.json:
-        show_json(facts)
-    else:
-        libraries = facts.pop("libraries")
-        show(table(("what", "version"), [*facts.items(), *libraries.items()]))
-    return DONE
-
-
-def run_openapi(arguments: argparse.Namespace) -> int:
-    """Print the OpenAPI document."""
-    from revisit_client import Revisit
-
-    with Revisit(arguments.url, key=arguments.key) as revisit:
-        show_json(revisit.openapi())
+    for finding in health.findings:
+        show(f"{finding.code}: {finding.detail}\n    {finding.remedy}")
+        if finding.views:
+            show(f"    views: {', '.join(finding.views)}")
+    counts = ", ".join(f"{count} {code}" for code, count in health.counts.items() if count)
+    say(
+        f"{health.map}: {counts or 'nothing found'}; {health.examined} of {health.views} views examined, "
+        f"{health.compared} compared with the others"
+    )
     return DONE

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from app.cli.console import say, wrong_use
+from app.cli.output import say, wrong_use
 from schemas.values import in_order
 
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
@@ -29,7 +29,7 @@ class Skipped:
     reason: str
 
 
-def found(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Path]:
+def find(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Path]:
     """Images that files, folders (with all inside) and globs name, each once; within each argument by their names.
 
     What a folder has besides is added to `skipped`.
@@ -83,7 +83,7 @@ def _not_taken(path: Path) -> str | None:
 
 
 @contextmanager
-def exif_read() -> Iterator[Callable[[Path], Known]]:
+def exif_reader() -> Iterator[Callable[[Path], Known]]:
     """Context manager: a function that gives what the EXIF of an image says, as `worker.images.exif.read_exif`.
 
     In a process of its own, as the service reads it: one damaged file among thousands may end it.

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Failure, Verbs, json_object, say, show, show_json, speaks, table, wrong_use
+from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.output import DONE, Failure, say, show, show_json, table, wrong_use
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -38,7 +39,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--views", type=int, default=3, help="with --accept: images of a place at most (default: 3)")
     parser.add_argument("--unconfirmed", action="store_true", help="with --accept: what no other image confirms, too")
     parser.add_argument("--images", type=Path, metavar="DIR", help="save an image of each spot and proposal there")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

@@ -4,7 +4,8 @@ import argparse
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Verbs, job_progress, say, show, show_json, speaks, table, wrong_use
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, job_progress, say, show, show_json, table, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client.wire import Job
@@ -29,7 +30,7 @@ def add(verbs: Verbs) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--follow", action="store_true", help="show the progress of the named job until it has ended")
     what.add_argument("--cancel", action="store_true", help="cancel the named job")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

@@ -9,7 +9,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Failure, Verbs, say, show, show_json, table, wrong_use
+from app.cli.options import Verbs
+from app.cli.output import DONE, Failure, say, show, show_json, table, wrong_use
 from app.cli.serve import place_of, settings_of
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, FAILED, Failure, say
+from app.cli.output import DONE, FAILED, Failure, say
 from app.cli.starting import collecting_new
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def address(host: str, port: int | str) -> str:
     return f"http://{shown}:{port}"
 
 
-def of_this_environment() -> str:
+def url_of_environment() -> str:
     """The URL of the service that runs by the same variables: REVISIT_URL, or REVISIT_HOST and REVISIT_PORT."""
     here = address(os.environ.get("REVISIT_HOST") or "127.0.0.1", os.environ.get("REVISIT_PORT") or "8000")
     return os.environ.get("REVISIT_URL") or here

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import images
-from app.cli.console import DONE, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, progress_bar, say, show, show_json, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client.loops import Keyframe, LoopCloser
@@ -55,7 +56,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--precision", type=float, metavar="P", help="share of loops that must be right")
     parser.add_argument("--g2o", type=Path, metavar="FILE", help="write the pose graph: odometry and loops")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the loops as a table")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -140,7 +141,7 @@ def _walk(arguments: argparse.Namespace) -> "list[tuple[Path, Keyframe]]":
 
     positions = images.Positions(arguments.positions)
     walk = []
-    for number, path in enumerate(images.found(arguments.paths)):
+    for number, path in enumerate(images.find(arguments.paths)):
         known = positions.of(path) or {}
         if "x" not in known or "y" not in known:
             wrong_use(f"{path}: {arguments.positions} says no x and y of it")

@@ -3,7 +3,8 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Verbs, show, show_json, speaks
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, show, show_json
 
 if TYPE_CHECKING:
     from revisit_client.wire import MapFacts
@@ -23,7 +24,7 @@ def add(verbs: Verbs) -> None:
         help="people, vehicles or labels, covered from the map's first view on; empty: nothing",
     )
     parser.add_argument("--drop-images", action="store_true", help="remove all images, for good, once described")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

@@ -3,7 +3,7 @@
 import platform
 from pathlib import Path
 
-from app.cli.console import Failure
+from app.cli.output import Failure
 
 NEEDED = ("cx16", "lahf_lm", "popcnt", "sse4_1", "sse4_2", "ssse3")
 """x86-64-v2 (System V ABI for x86-64, 3.1.1) as Linux names it: what NumPy's wheels are compiled for."""

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.changes import changes_text
-from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table
-from app.cli.filters import chooses, chosen
+from app.cli.filters import add_filter_options, filters_of
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, say, show, show_json, table
 
 if TYPE_CHECKING:
     from revisit_client.wire import Match, Position, QueryAnswer
@@ -33,10 +34,10 @@ def add(verbs: Verbs) -> None:
         "--drive-timeout", type=float, metavar="S", help="seconds of silence after which the drive begins anew (60)"
     )
     parser.add_argument("--consistent", type=int, metavar="N", help="images of the drive in a row that must agree")
-    chooses(parser)
+    add_filter_options(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     parser.add_argument("--changes", type=Path, metavar="PNG", help="say and draw what changed since the best match")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -44,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Query; returns 0 whether the place is known or not."""
     from revisit_client import Revisit
 
-    filters = chosen(arguments)
+    filters = filters_of(arguments)
     with Revisit(arguments.url, key=arguments.key) as revisit:
         answer = revisit.query(
             arguments.image,

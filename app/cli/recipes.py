@@ -4,7 +4,8 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Verbs, job_progress, json_object, say, show, show_json, speaks, table, wrong_use
+from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.output import DONE, job_progress, say, show, show_json, table, wrong_use
 from app.cli.shadow import show_shadow
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def add(verbs: Verbs) -> None:
 
 def _waits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-wait", action="store_true", help="return once the job has started")
-    speaks(parser)
+    add_service_options(parser)
 
 
 def run_vocabulary(arguments: argparse.Namespace) -> int:

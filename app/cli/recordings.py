@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, FAILED, Verbs, job_progress, say, show, show_json, speaks, wrong_use
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, FAILED, job_progress, say, show, show_json, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client.wire import Job
@@ -45,7 +46,7 @@ def add(verbs: Verbs) -> None:
         "in the map already",
     )
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import logs
-from app.cli.console import DONE, Failure, Verbs, show
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
+from app.cli.options import Verbs
+from app.cli.output import DONE, Failure, show
 from app.cli.processor import check_processor
 from app.cli.starting import collecting_new, collecting_nothing
 

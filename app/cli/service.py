@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from app.cli.console import Failure
+from app.cli.output import Failure
 
 _URL = re.compile(r"revisit serves at (http://\S+)")
 _KEPT = frozenset((

@@ -3,7 +3,8 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Verbs, show, show_json, speaks, table
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, show, show_json, table
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -26,7 +27,7 @@ def add(verbs: Verbs) -> None:
     what.add_argument("--switch", action="store_true", help="change the map over to it")
     what.add_argument("--discard", action="store_true", help="discard it: the map keeps its recipe")
     what.add_argument("--all", action="store_true", help=f"list all queries, not the first {ROWS} that do not agree")
-    speaks(parser)
+    add_service_options(parser)
     parser.set_defaults(run=run)
 
 

@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Failure, Verbs, job_progress, say, show, show_json, size, speaks, table, wrong_use
+from app.cli.options import Verbs, add_service_options
+from app.cli.output import DONE, Failure, job_progress, say, show, show_json, size, table, wrong_use
 from app.cli.serve import place_of, settings_of
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def add(verbs: Verbs) -> None:
     kept.add_argument("--list", action="store_true", help="list the snapshots that the service keeps")
     kept.add_argument("--fetch", metavar="ID", help="fetch one that the service keeps, which goes on keeping it")
     kept.add_argument("--delete", metavar="ID", help="remove one that the service keeps")
-    speaks(snapshot)
+    add_service_options(snapshot)
     snapshot.set_defaults(run=run_snapshot)
 
     restore = verbs.add_parser(
@@ -41,7 +42,7 @@ def add(verbs: Verbs) -> None:
     restore.add_argument("file", type=Path, help="the file")
     restore.add_argument("--as", dest="name", metavar="NAME", help="name of the new map (default: the one it had)")
     restore.add_argument("--data", type=Path, help="data folder of the stopped service (default: data)")
-    speaks(restore)
+    add_service_options(restore)
     restore.set_defaults(run=run_restore)
 
 

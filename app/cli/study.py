@@ -4,7 +4,7 @@ import argparse
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from app.cli.console import Verbs
+from app.cli.options import Verbs
 
 if TYPE_CHECKING:
     import httpx

@@ -5,7 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, FAILED, Verbs, show, show_json, size
+from app.cli.options import Verbs
+from app.cli.output import DONE, FAILED, show, show_json, size
 
 if TYPE_CHECKING:
     from worker.encoders.lseg.checkpoint import WeightsReport

@@ -15,7 +15,7 @@ from revisit_client import Revisit
 
 from app.cli import images
 from app.cli.__main__ import main
-from app.cli.console import Failure
+from app.cli.output import Failure
 from lab.faults.heics import heics
 from tests import answers
 from tests.cli.fake_service import FakeService
@@ -38,11 +38,11 @@ def names(paths: list[Path], folder: Path) -> list[str]:
 
 
 def test_a_folder_means_all_images_inside(folder: Path) -> None:
-    assert names(images.found([str(folder)]), folder) == ["a.PNG", "b.png", "inner/c.png"]
+    assert names(images.find([str(folder)]), folder) == ["a.PNG", "b.png", "inner/c.png"]
 
 
 def test_globs_are_understood_and_nothing_is_taken_twice(folder: Path) -> None:
-    found = images.found([f"{folder}/*.png", f"{folder}/b.png", f"{folder}/**/c.png"])
+    found = images.find([f"{folder}/*.png", f"{folder}/b.png", f"{folder}/**/c.png"])
 
     assert names(found, folder) == ["b.png", "inner/c.png"]
 
@@ -52,7 +52,7 @@ def test_nothing_there_is_wrong_use(folder: Path, name: str) -> None:
     (folder / "empty").mkdir()
 
     with pytest.raises(Failure) as caught:
-        images.found([str(folder / name)])
+        images.find([str(folder / name)])
     assert caught.value.code == 2
 
 

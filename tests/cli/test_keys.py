@@ -10,7 +10,7 @@ import pytest
 
 from app.cli import serve
 from app.cli.__main__ import main
-from app.cli.console import Failure
+from app.cli.output import Failure
 from schemas.settings import Settings
 from tests.cli.fake_service import FakeService
 from tests.keys_in_memory import KeyMaker

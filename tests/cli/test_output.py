@@ -8,24 +8,24 @@ import sys
 
 import pytest
 
-from app.cli import console, logs
+from app.cli import logs, output
 
 
 def test_a_table_puts_numbers_to_the_right() -> None:
-    text = console.table(("name", "score"), [("a", 0.5), ("long", None)])
+    text = output.table(("name", "score"), [("a", 0.5), ("long", None)])
 
     assert text.splitlines() == ["name  score", "----  -----", "a     0.500", "long      -"]
 
 
 def test_an_empty_table_has_its_heads() -> None:
-    assert console.table(("a", "b"), []).splitlines() == ["a  b", "-  -"]
+    assert output.table(("a", "b"), []).splitlines() == ["a  b", "-  -"]
 
 
 @pytest.mark.parametrize(
     ("count", "text"), [(0, "0 B"), (999, "999 B"), (1500, "1.5 kB"), (2_000_000, "2.0 MB"), (5e15, "5000.0 TB")]
 )
 def test_sizes(count: float, text: str) -> None:
-    assert console.size(count) == text
+    assert output.size(count) == text
 
 
 class Terminal(io.StringIO):
@@ -34,7 +34,7 @@ class Terminal(io.StringIO):
 
 
 def test_progress_without_a_terminal_is_a_line_for_each_tenth(capsys: pytest.CaptureFixture[str]) -> None:
-    with console.progress_bar(40, "images") as step:
+    with output.progress_bar(40, "images") as step:
         for number in range(40):
             step(f"{number}.jpg")
 
@@ -44,7 +44,7 @@ def test_progress_without_a_terminal_is_a_line_for_each_tenth(capsys: pytest.Cap
 
 
 def test_progress_of_less_than_ten_ends_with_all_of_them(capsys: pytest.CaptureFixture[str]) -> None:
-    with console.progress_bar(2, "images") as step:
+    with output.progress_bar(2, "images") as step:
         step("a.jpg")
         step("b.jpg")
 
@@ -52,7 +52,7 @@ def test_progress_of_less_than_ten_ends_with_all_of_them(capsys: pytest.CaptureF
 
 
 def test_quiet_progress_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with console.progress_bar(1, "images", quiet=True) as step:
+    with output.progress_bar(1, "images", quiet=True) as step:
         step("a.jpg")
 
     assert capsys.readouterr() == ("", "")
@@ -65,9 +65,9 @@ def test_a_bar_on_a_terminal_leaves_results_and_the_cursor_alone(monkeypatch: py
     monkeypatch.setenv("TERM", "xterm")
 
     def interrupted() -> None:
-        with console.progress_bar(2, "images") as step:
+        with output.progress_bar(2, "images") as step:
             step("[a].jpg")
-            console.show("a result")
+            output.show("a result")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -93,8 +93,8 @@ def test_results_come_through_whatever_letters_a_terminal_has(monkeypatch: pytes
     names = ["caf\u00e9", "\u6771\u4eac", "\U0001f6aa", "caf\udce9"]
     out = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out, encoding))
-    console.show_json(names)
+    output.show_json(names)
     assert json.loads(out.getvalue().decode(encoding)) == names
-    console.show(names[1])
+    output.show(names[1])
     monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(io.BytesIO(), encoding, errors="strict"))
-    console.say(names[2])
+    output.say(names[2])

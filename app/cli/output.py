@@ -1,13 +1,12 @@
 """Output of the command line: tables, progress, failures with a next step, exit codes."""
 
-import argparse
 import codecs
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import count
-from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 if TYPE_CHECKING:
     from revisit_client.wire import Job
@@ -97,19 +96,6 @@ def size(count: float) -> str:
     return f"{count:.1f} TB"
 
 
-def json_object(option: str, text: str | None, example: str) -> dict[str, Any] | None:
-    """Parse the JSON object of an option, None when it is not given; raises Failure (exit code 2)."""
-    if text is None:
-        return None
-    try:
-        value = json.loads(text)
-    except ValueError as error:
-        wrong_use(f"{option} is not JSON: {error}")
-    if not isinstance(value, dict):
-        wrong_use(f"{option} takes a JSON object such as {example}")
-    return value
-
-
 @contextmanager
 def job_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[["Job"], None]]:
     """Show the progress of a job on stderr, as `progress_bar`: yields a function to call with each state of the job.
@@ -172,14 +158,3 @@ def progress_bar(total: int, what: str, *, quiet: bool = False) -> Iterator[Call
                 say(f"{done}/{total} {what}")
 
         yield step
-
-
-Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""The collection that commands are added to; argparse has no public name for it."""
-
-
-def speaks(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of all commands that call a running service."""
-    parser.add_argument("--url", help="address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)")
-    parser.add_argument("--key", help="key of the service; REVISIT_KEY is better, since others can list arguments")
-    parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from app.cli.console import DONE, Verbs, show
+from app.cli.options import Verbs
+from app.cli.output import DONE, show
 from app.cli.serve import settings_of
 
 

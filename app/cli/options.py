@@ -1,0 +1,30 @@
+"""Options that several commands have."""
+
+import argparse
+import json
+from typing import Any, TypeAlias
+
+from app.cli.output import wrong_use
+
+Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""The collection that commands are added to; argparse has no public name for it."""
+
+
+def add_service_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of all commands that call a running service."""
+    parser.add_argument("--url", help="address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)")
+    parser.add_argument("--key", help="key of the service; REVISIT_KEY is better, since others can list arguments")
+    parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
+
+
+def json_object(option: str, text: str | None, example: str) -> dict[str, Any] | None:
+    """Parse the JSON object of an option, None when it is not given; raises Failure (exit code 2)."""
+    if text is None:
+        return None
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        wrong_use(f"{option} is not JSON: {error}")
+    if not isinstance(value, dict):
+        wrong_use(f"{option} takes a JSON object such as {example}")
+    return value
