@@ -42,11 +42,13 @@ class Uploads(Protocol):
         """Keep a received file durably for a job; raises DiskFull, StorageFailed."""
         ...
 
-    def opened(self, job_id: str, tell: Callable[[], None]) -> AbstractContextManager[tuple[Path, dict[str, Any]]]:
+    def opened(
+        self, job_id: str, on_progress: Callable[[], None]
+    ) -> AbstractContextManager[tuple[Path, dict[str, Any]]]:
         """The file of a job, which can be read during a block, and what was asked.
 
-        Where it has to be fetched, `tell` is called now and then: what it raises ends that. Raises FileNotFoundError,
-        ValueError, Damaged, DiskFull, StorageFailed.
+        Where it has to be fetched, `on_progress` is called now and then; what it raises ends that. Raises
+        FileNotFoundError, ValueError, Damaged, DiskFull, StorageFailed.
         """
         ...
 

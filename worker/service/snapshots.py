@@ -25,8 +25,10 @@ hands over to another, is back in a few."""
 class SnapshotFiles(Protocol):
     """Makes and keeps the files."""
 
-    def make(self, name: str, snapshot_id: str, now: datetime, tell: Callable[[int, int], None]) -> SnapshotRecord:
-        """Write the snapshot of a map; `tell` is called with views done and all."""
+    def make(
+        self, name: str, snapshot_id: str, now: datetime, on_progress: Callable[[int, int], None]
+    ) -> SnapshotRecord:
+        """Write the snapshot of a map; `on_progress` is called with views done and all."""
         ...
 
     def all(self) -> list[SnapshotRecord]:
@@ -173,7 +175,7 @@ class SnapshotService:
         """
         told = -TOLD_EVERY_S
 
-        def tell(done: int, total: int) -> None:
+        def on_progress(done: int, total: int) -> None:
             nonlocal told
             if stopping():
                 raise JobStopped
@@ -185,7 +187,7 @@ class SnapshotService:
         try:
             while True:
                 try:
-                    record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), tell)
+                    record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), on_progress)
                     result = {"snapshot": record.facts.id, "views": record.facts.views, "bytes": record.size}
                     self._jobs.finish_snapshot(claim, result, datetime.now(UTC))
                     return

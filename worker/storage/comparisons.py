@@ -60,7 +60,8 @@ class Comparisons(Part):
     def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
         self._levels: OrderedDict[tuple[int, str], MapLevels] = OrderedDict()
-        self._nothing_due: dict[tuple[int, bool], dict[int, int]] = {}  # maps, and at which revision; by the question
+        # By sample and busy, see `uncompared`: the maps in which nothing was due, and their revisions then.
+        self._nothing_due: dict[tuple[int, bool], dict[int, int]] = {}
 
     def last_revision(self) -> int:
         """The last revision given to any map: while it stays, nothing new is due."""

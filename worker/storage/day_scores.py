@@ -56,7 +56,7 @@ class DayScores(Part):
                 _merge(connection, row.id, basis, {seq: scores[seq] for seq in portion})
 
     def state(self, name: str) -> tuple[int, int]:
-        """Two numbers of a map of which one changes when a view is matched on another day; raises NotFound."""
+        """Two numbers of a map, one of which changes whenever a view is matched on a further day; raises NotFound."""
         with self._database.reading() as connection:
             own = DAY_SCORES.c.map_id == find_map(connection, name).id
             days = sa.select(sa.func.count(), sa.func.coalesce(sa.func.sum(DAY_SCORES.c.day), 0)).where(own)
@@ -87,7 +87,7 @@ class DayScores(Part):
 
 
 def _merge(connection: sa.Connection, map_id: int, basis: str, scores: Mapping[int, Sequence[DayScore]]) -> None:
-    """Add scores to those of views; writes the rows that change alone."""
+    """Add scores to those of views; only rows that change are written."""
     there = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id, VIEWS.c.seq.in_(list(scores)))
     old: dict[int, Days] = {int(seq): {} for seq in connection.scalars(there)}
     gone: list[dict[str, int]] = []

@@ -62,10 +62,10 @@ _REFUSES = {
     "53200": "it is out of memory",
     "58030": "its disk reports an error",
 }
-"""What whoever runs the server has to see to. Others of `_OPERATORS` are told in the server's words."""
+"""What to tell whoever runs the server, by code. For other codes of `_OPERATORS` the server's message is told."""
 
 _OPERATORS = ("28", "3D", "3F", "42501", "42P01", "53", "57", "58", "25P04")
-"""Beginnings of codes of which no statement of ours is the reason: rights, names, resources, operators, the system."""
+"""Beginnings of codes that no statement of ours causes: rights, names, resources, operators, the system."""
 
 _OVER = frozenset({"40001", "40P01"})
 """Codes that say of a transaction, whatever it was doing, that nothing of it is kept."""
@@ -128,8 +128,11 @@ def _postgresql(url: sa.URL) -> sa.Engine:
 
 
 def _session() -> str:
-    """What a connection begins with, whatever is set for the server, the database or the user: what was acknowledged is
-    durable, times and numbers are read as they were written, and no reader waits without end."""
+    """The statement that a connection begins with; it overrides what is set for the server, the database or the user.
+
+    With it, what was acknowledged is durable, times and numbers are read as they were written, and no reader waits for
+    ever.
+    """
     return (
         f"SELECT set_config('lock_timeout', '{round(1000 * READS_WAIT_S)}', false), "
         "set_config('datestyle', 'ISO', false), "
@@ -214,8 +217,10 @@ def for_reading(connection: sa.Connection) -> sa.Connection:
 
 
 def begin_reading(connection: sa.Connection) -> None:
-    """Have a connection of `make_reader` read one snapshot from here to the end of its transaction: Python's driver for
-    SQLite begins none by itself."""
+    """Begin a transaction on a connection of `make_reader`, whose reads all see one snapshot.
+
+    Python's driver for SQLite does not begin one by itself.
+    """
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql("BEGIN")
 
@@ -286,7 +291,7 @@ def bounded(silent_s: float, lock: str = "", patience_s: float | None = None) ->
 
 
 def one_of(column: sa.Column[int], numbers: str, database: str) -> sa.ColumnElement[bool]:
-    """That a column is one of the integers of a parameter, in the words of a database (a dialect's name).
+    """SQL condition that a column is one of the integers in the parameter `numbers`; `database` is a dialect's name.
 
     PostgreSQL takes them as one array: a thousand parameters are slower to send and to plan than their rows to read.
     """
@@ -377,7 +382,10 @@ def encoding_of(connection: sa.Connection) -> str | None:
 
 
 def is_read_only(error: sa.exc.DBAPIError) -> bool:
-    """Whether the connection is one to a standby, or began while writes were forbidden, which another may not be."""
+    """Whether a connection cannot write, since it is to a standby or began while writes were forbidden.
+
+    Another connection may be able to.
+    """
     return getattr(error.orig, "sqlstate", None) == "25006"
 
 
@@ -389,8 +397,8 @@ def kept_nothing(error: sa.exc.DBAPIError, *, sent: bool) -> bool:
     error : DBAPIError
         For which `server_trouble` has words.
     sent : bool
-        Whether the server may have been told to commit. Then only its own word counts: a connection that broke says
-        nothing of what was done before.
+        Whether the server may have been told to commit. If it was, only an answer of the server counts: a broken
+        connection does not tell whether the commit was done.
     """
     return not sent or getattr(error.orig, "sqlstate", None) in _OVER
 

@@ -75,10 +75,12 @@ def problem_of(error: BaseException, what: str, *, sent: bool = True) -> Revisit
 
 
 def lacking_right(error: BaseException) -> str | None:
-    """What PostgreSQL said of a right that the user lacks, for whoever runs the service, of an error of `problem_of`;
-    None for other errors."""
-    said = getattr(getattr(error.__cause__, "orig", None), "diag", None)
-    return str(said.message_primary) if said is not None and said.sqlstate == "42501" else None
+    """The message of PostgreSQL about a right that the user lacks, where an error of `problem_of` comes from that.
+
+    None for other errors. It is for whoever runs the service.
+    """
+    diagnostics = getattr(getattr(error.__cause__, "orig", None), "diag", None)
+    return str(diagnostics.message_primary) if diagnostics is not None and diagnostics.sqlstate == "42501" else None
 
 
 @contextmanager

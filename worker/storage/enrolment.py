@@ -119,12 +119,30 @@ class Enrolment(Part):
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map, if `recipe` is given.
 
-        `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured;
-        `background`: other enrolments are described first; `covered`: what was blurred in the image, which is not what
-        was sent; `refuse_poor`: the view is to fail where its description shows that the image is poor; `job`: which
-        enrols it, and is refused once it was cancelled or went with its map, even if there is another of that name.
+        For an image that the map has already, the result is its view, which is queued again if it had failed.
 
-        For an image that the map has already the result is its view, which is queued again if it had failed.
+        Parameters
+        ----------
+        name : str
+            Of the map.
+        image : bytes
+            As it is to be stored.
+        facts : ImageFacts
+        attributes : ViewAttributes
+        recipe : MapRecipe or None
+            Of the map, if it is to be created.
+        now : datetime
+        steady_s : float or None
+            Reading of a steady clock at `now`, by which the time since the last enrolment is measured.
+        background : bool
+            Whether other enrolments are described first.
+        covered : Covered or None
+            What was blurred in the image; None where it is stored as it was sent.
+        refuse_poor : bool
+            Whether the view is to fail where its description shows that the image is poor.
+        job : MapClaim or None
+            The import that enrols the image. It is refused once it was cancelled or its map was deleted, even if there
+            is another map of that name.
 
         Raises
         ------
@@ -135,8 +153,9 @@ class Enrolment(Part):
         NotFound
             There is no map, and no recipe to create it with.
         LeaseLost
+            The import was cancelled, or another worker has claimed it.
         ViewDeleted
-            The image was deleted while that job waited or ran.
+            The image was deleted while the import waited or ran.
         DiskFull
         ValueError
             The SHA-256 in `facts` is not that of the image.
@@ -156,14 +175,14 @@ class Enrolment(Part):
             if blur_of(row) != (() if covered is None else covered.words):
                 raise BlurChanged(f"what the map {name!r} blurs was changed meanwhile; try again")
             sent = facts.sha256 if covered is None else covered.sent_sha256
-            how = _How(now, background, refuse_poor)
+            options = _JobOptions(now, background, refuse_poor)
             columns = {**fact_columns(facts), "sent_sha256": None if covered is None else sent}
             view = _same_image(connection, row.id, sent, facts.sha256)
             if view is None:
                 if claimed is not None:
                     deleted_images.refuse(connection, claimed.number, {sent, facts.sha256})
-                return self._enrol(connection, row, columns, attributes, how, steady_s)
-            submitted = self._enrol_again(connection, row, view, columns, attributes, how)
+                return self._enrol(connection, row, columns, attributes, options, steady_s)
+            submitted = self._enrol_again(connection, row, view, columns, attributes, options)
         if row.drop_images or view.sha256 != facts.sha256:
             # What a view needs stays: where it is to be described, or where this image took the place of another.
             self._images.discard([facts.sha256, view.sha256])
@@ -187,14 +206,14 @@ class Enrolment(Part):
         row: sa.Row[Any],
         image: Mapping[str, Any],
         attributes: ViewAttributes,
-        how: "_How",
+        options: "_JobOptions",
         steady_s: float | None,
     ) -> Submitted:
-        view_id, elapsed_us = self._order.following(connection, row.id, how.now, steady_s)
+        view_id, elapsed_us = self._order.following(connection, row.id, options.now, steady_s)
         columns = {
             "id": view_id,
             "map_id": row.id,
-            "enrolled_at": how.now,
+            "enrolled_at": options.now,
             "elapsed_us": elapsed_us,
             **image,
             **attribute_columns(attributes),
@@ -205,7 +224,7 @@ class Enrolment(Part):
         view = view_record(find_view(connection, view_id))
         self._order.note(view.seq, elapsed_us, steady_s)
         keep_pairs(connection, view.seq, attributes)
-        job = self._queue(connection, row, view.seq, how)
+        job = self._queue(connection, row, view.seq, options)
         return Submitted(view, job, created=True, revision=row.revision)
 
     def _enrol_again(
@@ -215,14 +234,14 @@ class Enrolment(Part):
         view: sa.Row[Any],
         image: Mapping[str, Any],
         attributes: ViewAttributes,
-        how: "_How",
+        options: "_JobOptions",
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
-            set_aside_views(connection, [view.seq], how.now)  # nobody may have read it since it was damaged
+            set_aside_views(connection, [view.seq], options.now)  # nobody may have read it since it was damaged
             columns = {
                 **view._mapping,
                 "map_id": row.id,
-                "enrolled_at": how.now,
+                "enrolled_at": options.now,
                 **image,
                 **attribute_columns(attributes),
             }
@@ -245,7 +264,7 @@ class Enrolment(Part):
             )
         job: str | None
         if view.state == "failed":  # sending it again means trying again
-            job = self._queue(connection, row, view.seq, how)
+            job = self._queue(connection, row, view.seq, options)
             connection.execute(
                 sa.update(VIEWS)
                 .where(VIEWS.c.seq == view.seq)
@@ -256,7 +275,7 @@ class Enrolment(Part):
             job = switching.unfinished_job(connection, view.seq, row.recipe)
         if job is not None:  # the call that enrolled the view may yet take it back
             # An import that goes on after a crash meets its own: nobody else was told of those.
-            others = sa.true() if not how.background else ~JOBS.c.background
+            others = sa.true() if not options.background else ~JOBS.c.background
             connection.execute(sa.update(JOBS).where(JOBS.c.id == job, others).values(told=True))
         return Submitted(view_record(view), job, created=False, revision=row.revision)
 
@@ -267,20 +286,20 @@ class Enrolment(Part):
             return False
         return True
 
-    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, how: "_How") -> str:
+    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, options: "_JobOptions") -> str:
         """Queue the description of a view by the map's recipe and, in a recipe switch, by the next; returns the job."""
         job = switching.unfinished_job(connection, seq, row.recipe)
         if job is None:
-            told = {"background": how.background, "refuse_poor": how.refuse_poor}
-            [job] = switching.queue(connection, row.id, [seq], row.recipe, how.now, **told)
+            wanted = {"background": options.background, "refuse_poor": options.refuse_poor}
+            [job] = switching.queue(connection, row.id, [seq], row.recipe, options.now, **wanted)
         following = row.next_recipe
         if following is not None and not switching.settled(connection, seq, following):
-            switching.queue(connection, row.id, [seq], following, how.now, background=True)
+            switching.queue(connection, row.id, [seq], following, options.now, background=True)
         return job
 
 
-class _How(NamedTuple):
-    """When an image is enrolled, and how it is to be described."""
+class _JobOptions(NamedTuple):
+    """Of the job that describes an enrolled image; `now` is when both are stored."""
 
     now: datetime
     background: bool

@@ -38,7 +38,7 @@ def set_keep_images(connection: sa.Connection, row: sa.Row[Any], wanted: bool) -
         those of views are gone.
     """
     if wanted != bool(row.drop_images):
-        return not wanted  # said again, since removing the images may have broken off
+        return not wanted  # again: removing the images may have broken off the first time
     if wanted and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
         raise Conflict(
             f"the map {row.name!r} has views whose images are gone; a new map keeps the images enrolled in it"

@@ -49,7 +49,7 @@ class Discarded(NamedTuple):
 
 
 def damaged_or(read: Callable[[str], bytes], digest: str) -> bytes | Damaged:
-    """What reading an image gives, or how it is damaged."""
+    """The bytes that `read` gives for an image, or the Damaged that it raises."""
     try:
         return read(digest)
     except Damaged as error:
@@ -66,7 +66,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def owner_of(folder: Path) -> str | None:
-    """The id of the database that the images of a folder are of; None: nobody has said so."""
+    """The id of the database that the images of a folder belong to; None where that is not recorded."""
     with suppress(FileNotFoundError):
         return owner_file.read((folder / OWNER).read_bytes())
     return None
@@ -119,7 +119,7 @@ class Images:
                 raise
 
     def add(self, images: Mapping[str, bytes]) -> None:
-        """Write images, by their digests, durably whose rows are committed, after `await_removals`.
+        """Write images durably, by their digests, after `await_removals`; their rows are committed already.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class Images:
             sync_folder(self._folder)
 
     def await_removals(self) -> None:
-        """Wait until removals have ended that may have begun before rows which are committed."""
+        """Wait for removals that may have begun before the rows which are committed now."""
         for folder in self._folder.glob("[0-9a-f][0-9a-f]"):
             with self._locked(folder.name):
                 pass
@@ -171,7 +171,7 @@ class Images:
         return image
 
     def read_each(self, digests: Sequence[str]) -> list[bytes | Damaged]:
-        """The bytes of images, or why there are none, as `read` raises it."""
+        """The bytes of each image, or the Damaged that `read` would raise."""
         return [damaged_or(self.read, digest) for digest in digests]
 
     def _lost(self, digest: str, how: str) -> Damaged:
@@ -221,12 +221,12 @@ class Images:
         return str(self._folder / OWNER)
 
     def owner(self) -> str | None:
-        """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
+        """The id of the database that the images belong to; None where that is not recorded. Raises StorageFailed."""
         with translated("images"):
             return owner_of(self._folder)
 
     def claim(self, owner: str) -> None:
-        """Say of which database they are, durably; raises DiskFull, StorageFailed."""
+        """Record, durably, which database the images belong to; raises DiskFull, StorageFailed."""
         unfinished = self._folder / f"{UNFINISHED}{OWNER}"
         with translated("images"):
             with unfinished.open("wb") as file:

@@ -132,7 +132,7 @@ class ImageObjects:
                 raise
 
     def add(self, images: Mapping[str, bytes]) -> None:
-        """Write images, by their digests, durably whose rows are committed, after `await_removals`.
+        """Write images durably, by their digests, after `await_removals`; their rows are committed already.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class ImageObjects:
             list(pool.map(self._write, images.keys(), images.values()))
 
     def await_removals(self) -> None:
-        """Wait until removals have ended that may have begun before rows which are committed; raises StorageFailed."""
+        """Wait for removals that may have begun before the rows which are committed now; raises StorageFailed."""
 
         def wait(first: int) -> None:
             with self._locked(f"{first:02x}"):
@@ -178,14 +178,14 @@ class ImageObjects:
         return image
 
     def read_each(self, digests: Sequence[str]) -> list[bytes | Damaged]:
-        """The bytes of images, or why there are none, as `read` raises it; raises StorageFailed."""
+        """The bytes of each image, or the Damaged that `read` would raise; raises StorageFailed."""
         with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
             return list(pool.map(partial(damaged_or, self.read), digests))
 
     def discard(self, digests: Iterable[str]) -> Discarded:
         """Remove images that no view needs, after their rows were deleted.
 
-        While the store is away they are kept in mind: `problem` removes them once it answers, or the next start.
+        While the store is away they stay in `left`; `problem` removes them once it answers, or else the next start.
         """
         named = sorted({digest for digest in digests if DIGEST.fullmatch(digest)})
         groups = [list(group) for _, group in groupby(named, key=lambda digest: digest[:2])]
@@ -230,14 +230,14 @@ class ImageObjects:
         return f"{self.address}/{OWNER}"
 
     def owner(self) -> str | None:
-        """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
+        """The id of the database that the images belong to; None where that is not recorded. Raises StorageFailed."""
         try:
             return owner_file.read(self.prompt.read(OWNER))
         except FileNotFoundError:
             return None
 
     def claim(self, owner: str) -> None:
-        """Say of which database they are; raises DiskFull, StorageFailed."""
+        """Record which database the images belong to; raises DiskFull, StorageFailed."""
         self.files.write(OWNER, owner_file.written(owner))
 
     def holds_any(self) -> bool:

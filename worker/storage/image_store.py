@@ -24,12 +24,12 @@ class ImageStore(Protocol):
 
     @property
     def files(self) -> "ObjectFiles | None":
-        """Where recordings and snapshots lie too; None: in the data folder."""
+        """The place of recordings and snapshots, beside the images; None: they lie in the data folder."""
         ...
 
     @property
     def prompt(self) -> "ObjectFiles | None":
-        """The same for small files, whose calls end within some 3 s."""
+        """The same place, for small files: its calls end within some 3 s."""
         ...
 
     def kept(self, digest: str, image: bytes) -> AbstractContextManager[ImageHold]:
@@ -37,11 +37,11 @@ class ImageStore(Protocol):
         ...
 
     def add(self, images: Mapping[str, bytes]) -> None:
-        """Write images, by their digests, durably whose rows are committed; raises DiskFull, StorageFailed."""
+        """Write images durably, by their digests; their rows are committed already. Raises DiskFull, StorageFailed."""
         ...
 
     def await_removals(self) -> None:
-        """Wait until removals have ended that may have begun before rows which are committed; raises StorageFailed."""
+        """Wait for removals that may have begun before the rows which are committed now; raises StorageFailed."""
         ...
 
     def read(self, digest: str) -> bytes:
@@ -49,7 +49,7 @@ class ImageStore(Protocol):
         ...
 
     def read_each(self, digests: Sequence[str]) -> list[bytes | Damaged]:
-        """The bytes of images, or why there are none, as `read` raises it; raises StorageFailed."""
+        """The bytes of each image, or the Damaged that `read` would raise; raises StorageFailed."""
         ...
 
     def discard(self, digests: Iterable[str]) -> Discarded:
@@ -75,11 +75,11 @@ class ImageStore(Protocol):
         ...
 
     def owner(self) -> str | None:
-        """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
+        """The id of the database that the images belong to; None where that is not recorded. Raises StorageFailed."""
         ...
 
     def claim(self, owner: str) -> None:
-        """Say of which database they are; raises DiskFull, StorageFailed."""
+        """Record which database the images belong to; raises DiskFull, StorageFailed."""
         ...
 
     def holds_any(self) -> bool:
@@ -122,7 +122,7 @@ def needed_by_views(database: Database, digests: list[str]) -> set[str]:
 
 
 def needed_among(connection: sa.Connection, digests: list[str]) -> set[str]:
-    """The same, by a connection."""
+    """As `needed_by_views`, in a transaction."""
     found: set[str] = set()
     for portion in batches(digests):
         needed = sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion), needs_image(connection))

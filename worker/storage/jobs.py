@@ -149,9 +149,10 @@ class Jobs(Part):
         self._put_back(claim)
 
     def take_back(self, worker: str, held: Collection[str], *, describe: bool) -> int:
-        """Put back jobs of a worker, to describe or of maps, that it does not hold; returns how many.
+        """Put back jobs that a worker claimed but does not hold; returns how many.
 
-        It never learned that its claim was committed, or could not put them back.
+        There are such jobs where it never learned that its claim was committed, or could not put them back itself.
+        `describe`: jobs to describe views; otherwise jobs of maps.
         """
         kinds = [kind for kind in get_args(JobKind) if (kind == "describe") == describe]
         lost = JOBS.c.kind.in_(kinds), JOBS.c.state == "running", JOBS.c.worker == worker, JOBS.c.token.is_not(None)

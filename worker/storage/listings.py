@@ -51,7 +51,7 @@ class Listings(Part):
     def places(
         self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
     ) -> tuple[list[PlaceRecord], str | None]:
-        """A page of places by map and name, and the cursor of the next; `among`: of these maps alone."""
+        """A page of places by map and name, and the cursor of the next; `among`: only places of these maps."""
         means = [sa.func.avg(VIEWS.c[column]).label(column) for column in MEANS]
         page = (
             sa.select(
@@ -119,8 +119,10 @@ def _mean_position(row: sa.Row[Any]) -> Position:
 
 
 def _ascending(connection: sa.Connection, conditions: Sequence[sa.ColumnElement[bool]]) -> Sequence64:
-    """Sequence numbers of the views that fulfil all conditions: as one text, since a row for each takes four times as
-    long."""
+    """Sequence numbers, ascending, of the views that fulfil all conditions.
+
+    They are read as one text: a row for each takes four times as long.
+    """
     listed = sa.func.aggregate_strings(sa.cast(VIEWS.c.seq, sa.Text), ",")
     text = connection.scalar(sa.select(listed).where(*conditions))
     return np.sort(np.array([] if text is None else np.fromstring(text, np.int64, sep=","), np.int64))

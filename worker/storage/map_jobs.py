@@ -37,7 +37,7 @@ class MapJobs(Jobs):
     """Jobs of all kinds."""
 
     drop_files: Callable[[str], None] | None = None
-    """Removes the files of a job, by its id, that fails because its workers died: none of them can."""
+    """Removes the files of a job, by its id. For jobs that fail because their workers died, which cannot do it."""
 
     # recipe
 
@@ -193,7 +193,7 @@ class MapJobs(Jobs):
     ) -> "tuple[list[JobRecord], str | None]":
         """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map.
 
-        `among`: of these maps alone.
+        `among`: only jobs of these maps.
         """
         # Their numbers first: a map has a job for each view, and whole rows of all would be read to be sorted.
         numbers = sa.select(JOBS.c.number).join(MAPS, _NAMED).order_by(JOBS.c.number.desc()).limit(limit + 1)

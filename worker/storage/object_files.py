@@ -45,8 +45,8 @@ class Stored(NamedTuple):
     upload: str | None = None
 
 
-def _quiet() -> None:
-    """Tells nobody."""
+def _nothing() -> None:
+    """Does nothing, where nobody follows the progress."""
 
 
 class ObjectFiles:
@@ -66,28 +66,31 @@ class ObjectFiles:
         self.address = address
         self._client, self._bucket, self._prefix = client, bucket, prefix
 
-    def put(self, path: Path, name: str, tell: Callable[[], None] = _quiet) -> str:
-        """Store a file; returns its SHA-256. `tell` is called before each part: what it raises ends the upload."""
+    def put(self, path: Path, name: str, on_progress: Callable[[], None] = _nothing) -> str:
+        """Store a file; returns its SHA-256.
+
+        `on_progress` is called before each part; what it raises ends the upload.
+        """
         whole = hashlib.sha256()
         size = path.stat().st_size
         part = max(PART_BYTES, -(-size // MOST_PARTS))
         with path.open("rb") as file, translated(self.address):
             if size > part:
-                self._put_parts(file, name, part, whole, tell)
+                self._put_parts(file, name, part, whole, on_progress)
             else:
-                tell()
+                on_progress()
                 body = file.read()
                 whole.update(body)
                 self._client.put_object(**self._of(name), Body=body, ChecksumSHA256=_base64(whole.digest()))
         return whole.hexdigest()
 
-    def _put_parts(self, file: BinaryIO, name: str, part: int, whole: Any, tell: Callable[[], None]) -> None:
+    def _put_parts(self, file: BinaryIO, name: str, part: int, whole: Any, on_progress: Callable[[], None]) -> None:
         begun = self._client.create_multipart_upload(**self._of(name), ChecksumAlgorithm="SHA256")
         upload = {**self._of(name), "UploadId": begun["UploadId"]}
         parts: list[dict[str, Any]] = []
         try:
             while body := file.read(part):
-                tell()
+                on_progress()
                 whole.update(body)
                 sent = {"PartNumber": len(parts) + 1, "ChecksumSHA256": _base64(hashlib.sha256(body).digest())}
                 answer = self._client.upload_part(**upload, **sent, Body=body)
@@ -116,15 +119,15 @@ class ObjectFiles:
         reader = _Reader(self._client, self._of(name), self.address, about["ContentLength"], about["ETag"])
         return cast(BinaryIO, io.BufferedReader(reader, 64 * 1024))
 
-    def fetch(self, name: str, path: Path, tell: Callable[[int], None]) -> str:
+    def fetch(self, name: str, path: Path, on_progress: Callable[[int], None]) -> str:
         """Copy a file to a new one on the disk; returns its SHA-256; raises FileNotFoundError.
 
-        `tell` is called with the number of bytes before each piece is written: what it raises ends the copying.
+        `on_progress` is called with the number of bytes before each piece is written; what it raises ends the copying.
         """
         digest = hashlib.sha256()
         with self.open(name) as source, path.open("xb") as file:
             while piece := source.read(PIECE_BYTES):
-                tell(len(piece))
+                on_progress(len(piece))
                 digest.update(piece)
                 file.write(piece)
         return digest.hexdigest()

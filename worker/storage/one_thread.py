@@ -1,4 +1,4 @@
-"""Work on bytes that goes on in a thread beside: hashing and writing wait for memory and disk alone."""
+"""Work on bytes in a thread of its own: hashing and writing let the other threads run meanwhile."""
 
 from collections import deque
 from collections.abc import Callable
@@ -13,7 +13,7 @@ class OneThread:
     name : str
         Of the thread.
     most_bytes : int
-        Bytes that wait at most; a larger one waits alone.
+        Most bytes that wait together; work on more waits alone.
     """
 
     def __init__(self, name: str, most_bytes: int) -> None:
@@ -22,7 +22,7 @@ class OneThread:
         self._given: deque[tuple[int, Future[object]]] = deque()
 
     def do(self, size: int, work: Callable[[], object]) -> None:
-        """Have work done on `size` bytes, once there is room for them; raises what earlier work raised."""
+        """Queue work on `size` bytes; waits until the work before it leaves room. Raises what earlier work raised."""
         while self._given and (self._waiting + size > self._most or self._given[0][1].done()):
             self._await_first()
         self._given.append((size, self._thread.submit(work)))
@@ -34,7 +34,7 @@ class OneThread:
             self._await_first()
 
     def close(self) -> None:
-        """Wait for the work that has begun, and give up the rest."""
+        """Wait for the work that has begun, and drop the rest."""
         self._thread.shutdown(cancel_futures=True)
 
     def _await_first(self) -> None:

@@ -3,15 +3,15 @@
 from zlib import crc32
 
 OWNER = "owner"
-"""Its name."""
+"""Name of the file."""
 
 
 def written(owner: str) -> bytes:
-    """Its content: the id of the database, and the CRC-32 of that."""
+    """The content of the file: the id of the database, and the CRC-32 of that."""
     return f"{owner} {crc32(owner.encode()):08x}\n".encode()
 
 
 def read(content: bytes) -> str | None:
-    """The id that it holds; None of one that is damaged: it says nothing."""
+    """The id in the content of the file; None where the content is damaged."""
     owner, _, checksum = content.decode("utf-8", "replace").strip().partition(" ")
     return owner if owner and checksum == f"{crc32(owner.encode()):08x}" else None

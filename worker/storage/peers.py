@@ -1,4 +1,4 @@
-"""Locks among the services of one database: who serves it besides this one, and who writes or removes which images.
+"""Locks among the services of one database: whether others serve it, and who writes or removes which images.
 
 In PostgreSQL these are advisory locks, which end with their connection; with SQLite, whose services share one machine,
 locks on files of the data folder.
@@ -34,21 +34,23 @@ ADDING = 512
 
 
 class ImageHold:
-    """A lock of images that is held: one that cannot be lost, as that on a file."""
+    """A lock on images that is held. This one cannot be lost, as it is on a file."""
 
     def until_commit(self, connection: sa.Connection) -> None:
-        """Keep removers out until a transaction ends, which adds rows, also where the lock is lost; raises RolledBack
-        where it was lost before, and somebody may have removed what was written."""
+        """Keep removers out until a transaction that adds rows ends, even if the lock is lost meanwhile.
+
+        Raises RolledBack where the lock was lost before: somebody may have removed what was written.
+        """
 
     def await_commits(self) -> None:
-        """Wait for transactions that add rows: their lock may have been lost; raises StorageFailed."""
+        """Wait for transactions that add rows, whose lock may have been lost; raises StorageFailed."""
 
     def check(self) -> None:
         """Raise RolledBack where the lock was lost."""
 
 
 class _ServerHold(ImageHold):
-    """One of PostgreSQL, which goes with its connection."""
+    """A lock of PostgreSQL, which is lost with its connection."""
 
     def __init__(self, holding: sa.Connection, key: int) -> None:
         self._holding, self._key = holding, {"key": ADDING + key}
@@ -95,7 +97,7 @@ def image_lock(database: Database, data: Path) -> ImageLock:
             try:
                 yield _ServerHold(connection, int(first, 16))
             finally:
-                with suppress(sa.exc.DBAPIError):  # it is lost: what the block did under it is done all the same
+                with suppress(sa.exc.DBAPIError):  # the lock is lost, but what the block did is done
                     transaction.rollback()
 
     return by_file if dialect.is_file(database.engine) else by_server
@@ -109,8 +111,10 @@ POOLED = (
 
 
 def refuse_pooler(database: Database) -> None:
-    """Raise SetupError where two connections that are open at a time are one of PostgreSQL, as far as that is seen:
-    locks that a connection holds between transactions tell services of each other."""
+    """Raise SetupError where a pooler lets two connections share one of PostgreSQL, as far as that can be seen.
+
+    Services know of each other by locks that a connection holds between transactions.
+    """
     if dialect.is_file(database.engine):
         return
     with database.open() as one, database.open() as other:
@@ -123,8 +127,10 @@ def refuse_pooler(database: Database) -> None:
 
 
 def is_served(connection: sa.Connection) -> bool:
-    """Whether a service has joined those of a PostgreSQL database; none does before the transaction ends. A SQLite file
-    has locks in its data folder instead: False."""
+    """Whether a service has joined a PostgreSQL database; none can join before the transaction ends.
+
+    False for a SQLite file, which has locks in its data folder instead.
+    """
     if connection.dialect.name != "postgresql":
         return False
     return not connection.scalar(sa.text(f"SELECT pg_try_advisory_xact_lock({SCHEMA}, :key)"), {"key": SERVING})
@@ -145,7 +151,7 @@ class Peers:
 
     @contextmanager
     def joined(self) -> Iterator[bool]:
-        """Join the services of the database; yields whether there is no other, and none joins during the block.
+        """Join the services of the database; yields whether there is no other, in which case none joins in the block.
 
         A SQLite file has one service: the lock of its data folder sees to that. A service whose connection broke does
         not count before it noticed (`rejoin`).
@@ -158,7 +164,7 @@ class Peers:
         with translated("database"):
             self._connect()
             alone = bool(self._ask("pg_try_advisory_lock"))
-            if not alone:  # waits for one that cleans up
+            if not alone:  # wait for another that cleans up
                 self._ask("pg_advisory_lock_shared")
         try:
             yield alone
@@ -182,9 +188,9 @@ class Peers:
             self._connect()
             if self._ask("pg_try_advisory_lock_shared"):
                 return
-        except sa.exc.DBAPIError as error:  # whatever else uses the database tells of it
+        except sa.exc.DBAPIError as error:  # other uses of the database report the error
             log.debug("this service does not count among those of its database yet: %s", error)
-        self._drop()  # or somebody cleans up at this moment
+        self._drop()  # another service cleans up at this moment
 
     def leave(self) -> None:
         """Leave them; a second time does nothing."""

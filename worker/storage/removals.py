@@ -103,8 +103,10 @@ class Removals(Part):
         return self.clear(*nameless)
 
     def finish_late(self) -> None:
-        """Finish deletions that broke off in this process, and those of maps with one that was killed, and remove what
-        that had restored half; in a thread of its own, returns at once."""
+        """Finish, in a thread of its own, deletions that broke off in this process, and those that a killed one left.
+
+        Maps that a killed process had restored by half are removed too. Returns at once.
+        """
         with suppress(DiskFull, StorageFailed), self._database.reading() as connection:
             given_up = MAPS.c.name.is_(None), MAPS.c.given_up_at <= clock.shared_time(connection)
             self._unfinished.update(connection.scalars(sa.select(MAPS.c.id).where(*given_up)))

@@ -210,7 +210,7 @@ class _Restoration:
         for part in reader.parts(VIEW_PARTS):
             views = read_views(part, self._facts)
             with self._database.writing() as connection:
-                self._tell(connection)
+                self._sign(connection)
                 self._store_views(connection, views)
         # The rows are there: from here on nobody begins to remove an image that another map gives up.
         self._images.await_removals()
@@ -221,7 +221,7 @@ class _Restoration:
                 self._images.add(batch)
                 batch.clear()
                 with self._database.writing() as connection:
-                    self._tell(connection)
+                    self._sign(connection)
         self._images.add(batch)
         for part in reader.parts(COMPARISON_PARTS):
             self._store_comparisons(part.name, part.body)
@@ -231,7 +231,7 @@ class _Restoration:
         assert self.map_id is not None
         with self._database.writing() as connection:
             _refuse_taken(connection, name)
-            self._tell(connection, name=name, given_up_at=None)
+            self._sign(connection, name=name, given_up_at=None)
             revision = clock.tick(connection, self.map_id)
             switching.queue(connection, self.map_id, self._pending, self._recipe.id, now, background=False)
         return RestoredMap(
@@ -243,8 +243,8 @@ class _Restoration:
             new_ids=self.new_ids,
         )
 
-    def _tell(self, connection: sa.Connection, **changed: object) -> None:
-        """Put off the time from which the map counts as given up.
+    def _sign(self, connection: sa.Connection, **changed: object) -> None:
+        """Sign that this process is at work: put off the time from which the map counts as given up.
 
         Raises StorageFailed when that is no longer the time that this object stored: another process found the map
         given up, and removes it.
@@ -344,5 +344,5 @@ class _Restoration:
         ]
         if rows:
             with self._database.writing() as connection:
-                self._tell(connection)
+                self._sign(connection)
                 connection.execute(inserting(COMPARISONS), rows)

@@ -32,10 +32,10 @@ class SnapshotPlace(Protocol):
         """A path to write a new one to, on this machine; removed at the end of the block unless it was kept."""
         ...
 
-    def keep(self, draft: Path, snapshot_id: str, tell: Callable[[], None]) -> None:
+    def keep(self, draft: Path, snapshot_id: str, on_progress: Callable[[], None]) -> None:
         """Keep a written draft durably, in place of any earlier file of this id.
 
-        `tell` is called now and then while the file is sent: what it raises ends the sending.
+        `on_progress` is called now and then while the file is sent; what it raises ends the sending.
         """
         ...
 
@@ -88,7 +88,7 @@ class SnapshotFolder:
         finally:
             path.unlink(missing_ok=True)
 
-    def keep(self, draft: Path, snapshot_id: str, tell: Callable[[], None]) -> None:
+    def keep(self, draft: Path, snapshot_id: str, on_progress: Callable[[], None]) -> None:
         """Keep one that was written."""
         draft.rename(self._path(snapshot_id))
         sync_folder(self._folder)
@@ -136,11 +136,11 @@ class SnapshotObjects:
         with self._scratch.made() as own:
             yield own / snapshot_id
 
-    def keep(self, draft: Path, snapshot_id: str, tell: Callable[[], None]) -> None:
+    def keep(self, draft: Path, snapshot_id: str, on_progress: Callable[[], None]) -> None:
         """Keep one that was written."""
         # First what only belongs to a snapshot: without one, `worker.storage.leftovers` removes it.
         self._files.write(_name(snapshot_id, DIGESTS), b"".join(sorted(SnapshotReader(draft).digests())))
-        self._files.put(draft, _name(snapshot_id), tell)
+        self._files.put(draft, _name(snapshot_id), on_progress)
 
     def ids(self) -> list[str]:
         """Of all that are kept."""

@@ -56,7 +56,9 @@ class Snapshots(Part, retried=False):
 
     # made
 
-    def make(self, name: str, snapshot_id: str, now: datetime, tell: Callable[[int, int], None]) -> SnapshotRecord:
+    def make(
+        self, name: str, snapshot_id: str, now: datetime, on_progress: Callable[[int, int], None]
+    ) -> SnapshotRecord:
         """Write the snapshot of a map, as it is when this begins; what it had under this id is replaced.
 
         A view that is deleted meanwhile may be left out.
@@ -66,7 +68,7 @@ class Snapshots(Part, retried=False):
         name : str
         snapshot_id : str
         now : datetime
-        tell : function
+        on_progress : function
             Called with the number of views done and of all; what it raises ends the work and removes the file.
 
         Raises
@@ -77,9 +79,9 @@ class Snapshots(Part, retried=False):
         """
         with translated("snapshots"), self._place.draft(snapshot_id) as draft:
             with UncachedFile(draft) as file, self._database.reading() as connection:
-                views = self._write(connection, file, name, snapshot_id, now, tell)
-            tell(views, views)  # who lost the job meanwhile keeps nothing: another may have made it by now
-            self._place.keep(draft, snapshot_id, lambda: tell(views, views))
+                views = self._write(connection, file, name, snapshot_id, now, on_progress)
+            on_progress(views, views)  # who lost the job meanwhile keeps nothing: another may have made it by now
+            self._place.keep(draft, snapshot_id, lambda: on_progress(views, views))
         return self.get(snapshot_id)
 
     def _write(
@@ -89,7 +91,7 @@ class Snapshots(Part, retried=False):
         name: str,
         snapshot_id: str,
         now: datetime,
-        tell: Callable[[int, int], None],
+        on_progress: Callable[[int, int], None],
     ) -> int:
         """Write all of it; returns the number of views that there were when this began."""
         row = find_map(connection, name)
@@ -119,7 +121,7 @@ class Snapshots(Part, retried=False):
         )
         writer = SnapshotWriter(file, facts)
         try:
-            left_out = self._write_parts(connection, writer, row, recipe, views, tell)
+            left_out = self._write_parts(connection, writer, row, recipe, views, on_progress)
             counts = {"image_bytes": writer.image_bytes, "row_bytes": writer.row_bytes}
             writer.end(facts.model_copy(update={"views": len(views) - len(left_out), **counts}))
         finally:
@@ -133,7 +135,7 @@ class Snapshots(Part, retried=False):
         row: sa.Row[Any],
         recipe: DescriptionRecipe,
         views: Sequence[SizedView],
-        tell: Callable[[int, int], None],
+        on_progress: Callable[[int, int], None],
     ) -> set[int]:
         """Write all parts; returns the sequence numbers of views that were deleted meanwhile."""
         trained = sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == recipe.vocabulary)
@@ -142,7 +144,7 @@ class Snapshots(Part, retried=False):
         left_out: set[int] = set()
         done = 0
         for portion in Portions(self._database, self._images, connection, row.id, recipe).all(views):
-            tell(done, len(views))
+            on_progress(done, len(views))
             writer.add_images(portion.images)
             writer.add_views(
                 [view.line for view in portion.views], [body for view in portion.views for body in view.bodies]

@@ -1,8 +1,8 @@
 """Uploads of recordings: kept on disk from the first byte until their job ends.
 
 ``imports/JOB/upload`` is what was sent, ``imports/JOB/request.json`` what was asked; both are durable before the row of
-the job is. What is being received lies in ``imports/.receiving-...``. Who reads an upload may keep what it learned
-beside it: that is removed with it.
+the job is. What is being received lies in ``imports/.receiving-...``. A reader of an upload may store what it found out
+beside the file; that is removed with it.
 
 Where images lie in an object store, recordings lie there too, under the same names: any worker of the database finds
 them. They are received and checked in the folder of one node first.
@@ -118,14 +118,14 @@ class Uploads:
             sync_folder(self._folder.parent)
 
     @contextmanager
-    def opened(self, job_id: str, tell: Callable[[], None]) -> Iterator[tuple[Path, dict[str, Any]]]:
+    def opened(self, job_id: str, on_progress: Callable[[], None]) -> Iterator[tuple[Path, dict[str, Any]]]:
         """The file of a job, which can be read during the block, and what was asked.
 
         Parameters
         ----------
         job_id : str
-        tell : function
-            Called now and then while a file is fetched: what it raises ends that.
+        on_progress : function
+            Called now and then while a file is fetched; what it raises ends that.
 
         Raises
         ------
@@ -180,13 +180,13 @@ class SharedUploads(Uploads):
             raise
 
     @contextmanager
-    def opened(self, job_id: str, tell: Callable[[], None]) -> Iterator[tuple[Path, dict[str, Any]]]:
+    def opened(self, job_id: str, on_progress: Callable[[], None]) -> Iterator[tuple[Path, dict[str, Any]]]:
         """As for a folder: the file is fetched for the block, if the disk has room for it."""
         request = _request(self._files.read(_name(job_id, "request.json")), job_id)
         digest = request.pop("sha256", None)
 
         def look(count: int) -> None:
-            tell()
+            on_progress()
             if self._space is not None:
                 self._space.admit(count)
 

@@ -71,7 +71,9 @@ class Views(Part):
         limit: int = 50,
         among: Collection[str] | None = None,
     ) -> "tuple[list[ViewRecord], str | None]":
-        """A page of views in enrolment order (or reverse), and the cursor of the next; `among`: of these maps alone.
+        """A page of views in enrolment order (or reverse), and the cursor of the next.
+
+        `among`: only views of these maps.
 
         Raises
         ------
