@@ -24,7 +24,7 @@ const TERMS = {
 
 const nameOf = (view) => view.place ?? `view ${view.id.slice(-6)}`;
 
-/** What shows an answer: `short` and, below it, `long`. `photo`: URL of the query's image in this browser. */
+/** The elements that show an answer: `short`, and `long` to go below. `photo`: URL of the query's image here. */
 export function answerPanel(answer, photo) {
   const [first] = answer.matches;
   const detail = h("div");
@@ -43,13 +43,15 @@ export function answerPanel(answer, photo) {
     short: [
       verdict(answer),
       answer.drive && drivePanel(answer.drive),
-      answer.places.length > 0 && panel("Places", probabilities(answer), where(answer)),
+      answer.places.length > 0 && panel("Places", probabilities(answer), planOf(answer)),
     ].filter(Boolean),
     long: [
       first && panel("Views that look like it", h("ol", { class: "matches" }, cards)),
       first && panel(null, detail),
-      answer.status !== "no_match" && first?.links.explanation && panel("Since it was enrolled", since(answer, first)),
-      panel("How it went", times(answer), basis(answer)),
+      answer.status !== "no_match" &&
+        first?.links.explanation &&
+        panel("Since it was enrolled", changesOf(answer, first)),
+      panel("How it went", timesOf(answer), decisionOf(answer)),
     ].filter(Boolean),
   };
 }
@@ -86,8 +88,8 @@ function verdict(answer) {
   );
 }
 
-/** The plan: matched views, and where the query lies. */
-function where(answer) {
+/** A plan of the matched views and of the estimated position; null where neither has a position. */
+function planOf(answer) {
   const points = answer.matches
     .filter((match) => match.view.position && match.view.map === answer.map) // other maps have frames of their own
     .map((match) => ({
@@ -102,7 +104,7 @@ function where(answer) {
   const positions = points.map((point) => point.position);
   surroundings(answer.map, estimate ? [estimate.position, ...positions] : positions).then(
     (others) => picture.add(others.filter((point) => !known.has(point.id))),
-    () => {}, // the plan of the matches alone is a plan too
+    () => {}, // without the other views the plan still shows the matches
   );
   return h(
     "div",
@@ -201,8 +203,8 @@ function evidence(answer, match, photo) {
   );
 }
 
-/** What changed from the first view to the photo of the query, which the service keeps while it explains it. */
-function since(answer, first) {
+/** What changed since the first view was taken; asks while the service keeps the photo of the query. */
+function changesOf(answer, first) {
   const address = `/queries/${encodeURIComponent(answer.query.id)}/changes`;
   return [
     h("p", {}, `What is gone, new or moved at ${nameOf(first.view)} since its photo was taken?`),
@@ -210,7 +212,8 @@ function since(answer, first) {
   ];
 }
 
-function times(answer) {
+/** How long each stage of the query took. */
+function timesOf(answer) {
   const { total, ...stages } = answer.timing_ms;
   const longest = Math.max(1, ...Object.values(stages));
   return h(
@@ -221,7 +224,8 @@ function times(answer) {
   );
 }
 
-function basis(answer) {
+/** The figures that the verdict rests on, unfolded on demand. */
+function decisionOf(answer) {
   const { decision } = answer;
   return h(
     "details",

@@ -1,5 +1,4 @@
-// Calls of the public API, by its client. The key lives in this tab's sessionStorage, and goes nowhere but into the
-// header.
+// Calls of the public API, by its client. The key is kept in this tab's sessionStorage, and sent in the header alone.
 
 import { Problem, Revisit, address } from "./revisit.js";
 
@@ -9,7 +8,7 @@ const KEY = "revisit-key";
 const RECENT = 20;
 const AGAIN_MS = 300;
 
-/** Problems that this tab was answered, newest first: {at, method, path, problem}. */
+/** Problems that calls of this tab were answered with, newest first: {at, method, path, problem}. */
 export const recentProblems = [];
 
 export const key = {
@@ -25,8 +24,8 @@ export const key = {
 };
 
 /**
- * fetch that sends a proxy's password too, as the browser was told it: the page itself came by it. Of an address with a
- * password in it (name:password@host) fetch refuses all that is relative to it.
+ * fetch with the password that a proxy asked for when the page was loaded. Addresses are absolute: where the page's own
+ * has a password in it (name:password@host), fetch refuses relative ones.
  */
 export const fetched = (path, options) => fetch(location.origin + path, { ...options, credentials: "same-origin" });
 
@@ -35,8 +34,8 @@ export const service = new Revisit("", { key: key.get, fetch: fetched });
 /**
  * Send a request and give its Response; raises Problem.
  * options: query (object; null and "" are left out), form (FormData), json, type (of the JSON), signal,
- * quiet (a 401 opens no dialog). What only reads and gets no answer is sent once more: a browser drops what is under
- * way when its machine changes networks.
+ * quiet (a 401 opens no dialog). A GET without an answer is sent once more: browsers drop requests when their machine
+ * changes networks.
  */
 export async function send(method, path, { form = null, quiet = false, ...options } = {}) {
   const once = () => service.send(method, path, { ...options, body: form });
@@ -48,7 +47,7 @@ export async function send(method, path, { form = null, quiet = false, ...option
     });
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
-    throw remembered(method, path, error, quiet);
+    throw remember(method, path, error, quiet);
   }
 }
 
@@ -62,24 +61,24 @@ async function parsed(method, path, response) {
     return await response.json();
   } catch {
     const detail = "the answer broke off, or is not of revisit; is there a proxy between?";
-    throw remembered(method, path, Problem.silence(detail));
+    throw remember(method, path, Problem.silence(detail));
   }
 }
 
 /**
- * Send a file as the body and give the JSON of the answer; raises Problem. `sent` is told the share that has been sent.
- * By XMLHttpRequest, since fetch does not say how much of a body has been sent.
+ * Send a file as the body and give the JSON of the answer; raises Problem. `progress` is called with the share that has
+ * been sent, 0 to 1. It uses XMLHttpRequest, since fetch does not say how much of a body has been sent.
  */
-export function upload(path, file, type, sent) {
+export function upload(path, file, type, progress) {
   return new Promise((resolve, reject) => {
     const request = new XMLHttpRequest();
     request.open("POST", path);
     const headers = { ...service.headers(), "Content-Type": type };
     for (const [name, value] of Object.entries(headers)) request.setRequestHeader(name, value);
-    request.upload.addEventListener("progress", (event) => sent(event.loaded / event.total));
+    request.upload.addEventListener("progress", (event) => progress(event.loaded / event.total));
     request.addEventListener("error", () => {
       const detail = "the service cannot be reached, or it refused the file before it had all of it; is it too large?";
-      reject(remembered("POST", path, Problem.silence(detail)));
+      reject(remember("POST", path, Problem.silence(detail)));
     });
     request.addEventListener("load", async () => {
       const retry = request.getResponseHeader("Retry-After");
@@ -91,15 +90,15 @@ export function upload(path, file, type, sent) {
         resolve(parsed("POST", path, response));
         return;
       }
-      reject(remembered("POST", path, await Problem.of(response)));
+      reject(remember("POST", path, await Problem.of(response)));
     });
     request.send(file);
   });
 }
 
 /**
- * Pages of a list: `next()` gives {value}, after the last {done: true}. One that did not come is asked for again.
- * `resume()` has the last one asked for again, and those that came after it since.
+ * Pages of a list: `next()` gives {value}, after the last page {done: true}. After an error it asks for the same page
+ * again. `resume()`, after the last page, has that page asked for again, and pages that have been added since.
  */
 export function pages(path, query, options = {}) {
   let cursor = null;
@@ -122,9 +121,9 @@ export function pages(path, query, options = {}) {
   };
 }
 
-function remembered(method, path, problem, quiet = false) {
+function remember(method, path, problem, quiet = false) {
   if (problem.status === 401 && !quiet) window.dispatchEvent(new CustomEvent("unauthorized", { detail: problem }));
-  // What is looked at again and again, such as /metrics, would leave no room for anything else.
+  // Paths that are read again and again, such as /metrics, would leave no room for other problems.
   const again = recentProblems.findIndex(
     (one) => method === "GET" && one.method === method && one.path === path && one.problem.code === problem.code,
   );

@@ -9,16 +9,16 @@ import { Views, grid } from "./views.js";
 const PLACES_A_PAGE = 100;
 
 /**
- * What is in a map; `changed()` promises that its facts are shown anew, after a view was edited or deleted.
- * Gives {element, show(map)}: each time that the map may have changed. The place that is chosen, and what is in sight,
- * stay as they are.
+ * What is in a map. `changed()` is called after a view was edited or deleted; it promises that the map's facts are shown
+ * anew. Gives {element, show(map)}; call `show` whenever the map may have changed. The place that is chosen and what is
+ * in sight stay.
  */
 export function browser(name, changed) {
   let map = null;
   let place = null; // whose views are shown; null: all
-  let edits = 0; // of views, here
-  let shown = ""; // of the map, when it was shown last
-  const told = h("div");
+  let edits = 0; // number of views that were edited or deleted here
+  let shown = ""; // the state of the map that is shown
+  const notice = h("div");
   const heading = h("h2", {}, "All views");
   const newest = h(
     "select",
@@ -63,12 +63,12 @@ export function browser(name, changed) {
   }
 
   async function picked(id) {
-    told.replaceChildren();
+    notice.replaceChildren();
     try {
       open(await call("GET", `/views/${encodeURIComponent(id)}`));
     } catch (error) {
       if (error.status === 404) planned.put(id, null);
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
     }
   }
 
@@ -86,7 +86,7 @@ export function browser(name, changed) {
       "div",
       {},
       planned.element,
-      told,
+      notice,
       h(
         "div",
         { class: "columns" },

@@ -1,4 +1,4 @@
-// What changed at a place: fetched when somebody wants to know, in words and as a drawing.
+// What changed at a place, in words and as a drawing; compared when somebody asks for it.
 
 import { call } from "./api.js";
 import { announce, field, h, moment, percent, problemBox, sentence } from "./dom.js";
@@ -7,7 +7,7 @@ import { near } from "./plan.js";
 
 const MOST_OTHERS = 100;
 
-/** A button that fetches the changes at an address, and shows them below it. */
+/** A button that fetches what changed from `address()`, and shows it below. Gives {element, clear}. */
 export function whatChanged(text, address) {
   const shown = h("div");
   const button = h("button", { type: "button", onclick: compare }, text);
@@ -16,7 +16,7 @@ export function whatChanged(text, address) {
     shown.replaceChildren(h("p", { class: "quiet" }, "Comparing both photos; this takes some seconds …"));
     try {
       const found = await call("GET", address());
-      shown.replaceChildren(...told(found));
+      shown.replaceChildren(...outcome(found));
       announce(shown.textContent);
     } catch (error) {
       const again = [429, 503].includes(error.status) && "The service is busy: try again in a few seconds.";
@@ -35,7 +35,8 @@ const REFUSED = {
   busy: "Not compared yet",
 };
 
-function told(found) {
+/** The elements that show the answer to a comparison. */
+function outcome(found) {
   if (found.status !== "compared")
     return [h("h3", {}, REFUSED[found.status] ?? "Not compared"), h("p", {}, sentence(found.detail))];
   const share = percent(found.compared);
@@ -45,14 +46,14 @@ function told(found) {
     h(
       "ul",
       { class: "told-changes" },
-      found.changes.map((one) => h("li", { class: one.kind }, line(one))),
+      found.changes.map((one) => h("li", { class: one.kind }, changeLine(one))),
     ),
     h("p", { class: "quiet" }, compared, " Names of things are guesses."),
     drawing(found.links.drawing, "Both photos, with what changed", "Then on the left, now on the right."),
   ];
 }
 
-function line({ kind, label, instead, confidence }) {
+function changeLine({ kind, label, instead, confidence }) {
   return [
     h("strong", {}, { gone: "Gone", new: "New", moved: "Moved" }[kind]),
     ` ${label}`,
@@ -61,7 +62,7 @@ function line({ kind, label, instead, confidence }) {
   ];
 }
 
-/** For a view: what changed between it and another view of the same place; the earlier one is that of then. */
+/** A choice of the other views of the place that a view shows, and what changed between the two. */
 export function changesSince(view, map) {
   const box = h("div");
   others(view, map.ranking.same_place_m).then(

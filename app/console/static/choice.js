@@ -9,8 +9,8 @@ export const chosenMap = () => sessionStorage.getItem(CHOSEN) ?? "default";
 export const chooseMap = (name) => sessionStorage.setItem(CHOSEN, name);
 
 /**
- * A select of the maps; `refresh` fetches their names and counts, and may prefer one; `facts` is of the chosen one,
- * `chosen` its name once they are there: they are asked for again where they did not come.
+ * A select of the maps. `refresh` fetches their names and counts, and may choose one; `facts` are those of the chosen
+ * map; `chosen` promises its name, and fetches the maps again where that failed before.
  */
 export function mapSelect(changed = () => {}) {
   const select = h("select", {

@@ -74,7 +74,7 @@ export function takesDrops(element, dropped) {
   });
 }
 
-/** Have files that are dropped beside what takes them go nowhere: the browser would open them in place of the page. */
+/** Ignore files that are dropped where nothing takes them: the browser would open them in place of the page. */
 export function keepsDrops() {
   const hold = (event) => {
     if (event.defaultPrevented || !event.dataTransfer?.types.includes("Files")) return;

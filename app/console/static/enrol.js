@@ -49,7 +49,7 @@ export function enrolScreen() {
   );
   const exif = checkbox("Position and time from the photos (EXIF), where none is given");
   const list = h("ul", { class: "files", "aria-label": "Photos to enrol", tabindex: "0", hidden: true });
-  const told = h("div");
+  const notice = h("div");
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Photos enrolled", hidden: true });
   const summary = h("p", { class: "quiet" });
   const start = h("button", { type: "submit", class: "first", disabled: true }, "Enrol");
@@ -60,7 +60,7 @@ export function enrolScreen() {
       onclick: () => {
         entries = [];
         positions = null;
-        told.replaceChildren();
+        notice.replaceChildren();
         redraw();
       },
     },
@@ -101,7 +101,7 @@ export function enrolScreen() {
   }
 
   async function add(files) {
-    told.replaceChildren();
+    notice.replaceChildren();
     const archive = files.find((file) => RECORDINGS.test(file.name));
     if (archive) archives.take(archive);
     files = files.filter((file) => file !== archive);
@@ -111,7 +111,7 @@ export function enrolScreen() {
     );
     const skipped = files.filter((file) => !tables.includes(file) && !images.includes(file));
     if (skipped.length)
-      told.append(
+      notice.append(
         h(
           "p",
           { class: "refused" },
@@ -129,7 +129,7 @@ export function enrolScreen() {
         positions = positionsOf(await table.text());
         read = true;
       } catch (error) {
-        told.append(problemBox({ title: table.name, detail: error.message }));
+        notice.append(problemBox({ title: table.name, detail: error.message }));
       }
       reading -= 1;
     }
@@ -138,7 +138,7 @@ export function enrolScreen() {
     const meant = read ? entries : added; // an earlier table does not undo what was typed since
     if (positions && (read || added.length)) {
       const fitted = meant.filter((one) => isOpen(one) && fill(one, attributesOf(positions, one.path)));
-      told.append(
+      notice.append(
         h(
           "p",
           {},
@@ -196,11 +196,11 @@ export function enrolScreen() {
 
   function used(one) {
     current = one;
-    onPlan.told();
+    onPlan.update();
   }
 
   function redraw() {
-    onPlan.told();
+    onPlan.update();
     const focused = document.activeElement;
     list.replaceChildren(...entries.map((one) => one.element));
     if (list.contains(focused)) focused.focus({ preventScroll: true });
@@ -298,7 +298,7 @@ export function enrolScreen() {
       announce(summary.textContent);
     } catch (error) {
       queue.length = 0;
-      if (error.status !== 401) told.replaceChildren(problemBox(error));
+      if (error.status !== 401) notice.replaceChildren(problemBox(error));
     } finally {
       running = false;
       entries.sort((one, other) => (other.state === "refused") - (one.state === "refused")); // where they are seen
@@ -333,7 +333,7 @@ export function enrolScreen() {
         ),
         exif.label,
         onPlan.element,
-        told,
+        notice,
         h("div", { class: "row" }, start, clear),
         bar,
         summary,

@@ -148,7 +148,7 @@ export function healthScreen(name) {
   }
 
   function directions(first, all, total) {
-    return later(async () => {
+    return filledBox(async () => {
       const findings = await all();
       const groups = [...grouped(findings, (one) => towards(one.headings))].sort((a, b) => b[1].length - a[1].length);
       return [
@@ -159,7 +159,7 @@ export function healthScreen(name) {
   }
 
   const singles = (first, all, total) =>
-    later(async () => {
+    filledBox(async () => {
       const findings = await all();
       return [rows(findings), beyond(findings.length, total)];
     });
@@ -200,7 +200,7 @@ export function healthScreen(name) {
       .filter((one) => one.position)
       .map((one) => ({ position: one.position, kind: "first", name: one.places.join(" – ") }));
     const picture = plan(points);
-    // The plan of the gaps alone is a plan too.
+    // Without the other views the plan still shows the gaps.
     if (points.length) outline(name, picture.add, () => picture.element.isConnected).catch(() => {});
     return h("div", {}, points.length > 0 && picture.element, pictured(first, all, total));
   }
@@ -208,8 +208,8 @@ export function healthScreen(name) {
   return { element: h("div", {}, mapHead(name, "health"), shown), enter: load };
 }
 
-/** A box that fills when its content is there. */
-function later(made) {
+/** A box that is filled when `made()` has promised its content. */
+function filledBox(made) {
   const box = h("div", {}, h("p", { class: "quiet" }, "Loading …"));
   made().then(
     (content) => box.replaceChildren(...content.flat().filter(Boolean)),
@@ -219,10 +219,11 @@ function later(made) {
 }
 
 /**
- * Some findings at a time; those that the first answer left out are fetched when somebody goes on to them. As many as
- * were shown before are shown at once; `tell` is told how many are.
+ * A list of findings that shows `portion` more at a time, `before` at first. Those beyond `first`, the findings of the
+ * first answer, are fetched by `all()` when somebody goes on to them. `shownChanged(number)` is called with how many
+ * are shown.
  */
-function byPortions(first, all, total, portion, make, before = portion, tell = () => {}) {
+function byPortions(first, all, total, portion, make, before = portion, shownChanged = () => {}) {
   let items = first;
   let shown = 0;
   const list = h("div");
@@ -233,7 +234,7 @@ function byPortions(first, all, total, portion, make, before = portion, tell = (
       if (shown + number > items.length) items = await all();
       list.append(...items.slice(shown, shown + number).map(make));
       shown = Math.min(shown + number, items.length);
-      tell(shown);
+      shownChanged(shown);
       next.hidden = shown >= items.length;
       if (next.hidden) list.append(beyond(items.length, total) ?? "");
     } catch (error) {

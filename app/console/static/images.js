@@ -7,7 +7,7 @@ const AT_ONCE = 6;
 const KEPT = 400;
 const TRIES = 4;
 
-/** What is said in the stead of an image that was removed. */
+/** Shown in place of an image that was removed. */
 export const NOT_KEPT = "image not kept";
 
 const kept = new Map(); // path -> promise of a blob's URL, least recently shown first
@@ -22,7 +22,7 @@ export function forgetImages() {
   kept.clear();
 }
 
-/** The URL of an image's bytes; fetched once. `wanted` says whether anybody still looks when its turn comes. */
+/** The URL of an image's bytes, fetched once. It is not fetched where `wanted()` is false when its turn comes. */
 export function imageUrl(path, wanted = () => true) {
   let url = kept.get(path);
   if (url) {
@@ -81,7 +81,7 @@ export function image(path, alt, attributes = {}) {
   return element;
 }
 
-/** The thumbnail of a view, or words in its stead where the map keeps no images. */
+/** The thumbnail of a view, or `NOT_KEPT` in its place where the map keeps no images. */
 export function thumbnail(view, map, side, attributes = {}) {
   if (!map.keep_images) return h("span", { class: "quiet" }, NOT_KEPT);
   return image(`${view.links.thumbnail}?size=${side}`, "", attributes);

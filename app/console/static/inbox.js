@@ -14,7 +14,7 @@ const MOST = 500;
 
 export function inboxScreen(name) {
   const path = `/maps/${encodeURIComponent(name)}`;
-  const told = h("div");
+  const notice = h("div");
   const shown = h("div", {}, h("p", {}, "Loading …"));
   const frame = h(
     "select",
@@ -153,12 +153,12 @@ export function inboxScreen(name) {
   }
 
   function tell(text) {
-    told.replaceChildren(h("p", { class: "done" }, text));
+    notice.replaceChildren(h("p", { class: "done" }, text));
     announce(text);
     load();
   }
 
-  return { element: h("div", {}, mapHead(name, "inbox"), told, shown), enter: load };
+  return { element: h("div", {}, mapHead(name, "inbox"), notice, shown), enter: load };
 }
 
 const span = ({ count: number, first_at: first, last_at: last }) =>

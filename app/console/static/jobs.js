@@ -18,8 +18,8 @@ const KINDS = {
 
 const runs = (job) => ["waiting", "running"].includes(job.state);
 
-/** Look at a job until it has ended or nobody wants to know; `told(job)` is called each time. Gives the last look. */
-export async function followed(job, told, wanted = () => true) {
+/** Poll a job until it has ended or `wanted()` is false; `report(job)` is called each time. Gives its last state. */
+export async function follow(job, report, wanted = () => true) {
   let latest = job;
   for (let wait = 200; runs(latest) && wanted(); wait = Math.min(2 * wait, EVERY_MS)) {
     await new Promise((resolve) => setTimeout(resolve, wait));
@@ -28,15 +28,15 @@ export async function followed(job, told, wanted = () => true) {
     } catch (error) {
       if (!PASSING.includes(error.status)) throw error;
     }
-    told(latest);
+    report(latest);
   }
   return latest;
 }
 
 /**
- * The jobs of a map, or of all. `finished` is called when one that ran has ended, and of views that are described when
- * all have. While none runs they are looked at every `idle` milliseconds, or no more until `look`. `stop` ends the
- * looking.
+ * The jobs of a map, or of all maps, polled while one runs. `finished` is called when a job has ended; for jobs that
+ * describe views, when the last of them has. While none runs they are polled every `idle` milliseconds, or not until
+ * `look` is called where that is null. `stop` ends the polling.
  */
 export function jobList(map, finished = () => {}, idle = null) {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Jobs" });

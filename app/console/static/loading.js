@@ -22,15 +22,15 @@ addEventListener("load", () => {
     return;
   }
   const names = [...missing].map((address) => new URL(address).pathname).join(", ");
-  const told = document.createElement("p");
-  told.setAttribute("role", "alert");
-  document.getElementById("main").replaceChildren(told);
+  const notice = document.createElement("p");
+  notice.setAttribute("role", "alert");
+  document.getElementById("main").replaceChildren(notice);
   if (reloads < WAITS_S.length) {
-    told.textContent = `Not all of the console arrived (${names}). It is loaded again in ${WAITS_S[reloads]} s.`;
+    notice.textContent = `Not all of the console arrived (${names}). It is loaded again in ${WAITS_S[reloads]} s.`;
     sessionStorage.setItem(RELOADS, String(reloads + 1));
     setTimeout(() => location.reload(), 1000 * WAITS_S[reloads]);
   } else {
-    told.textContent =
+    notice.textContent =
       `Not all of the console arrived (${names}), ${reloads + 1} times. ` +
       "Is there a proxy between? Reload the page to try again.";
     sessionStorage.removeItem(RELOADS);

@@ -9,13 +9,13 @@ const AT_FIRST = 20_000;
 
 /**
  * A panel with the plan of a map; `chosen(id)` is called for the view that is picked.
- * Gives {element, show(map), put(id, view)}: `show` with the facts of the map, each time that they may have changed;
- * `put` with a view that was edited here, or null for one that was deleted.
+ * Gives {element, show(map), put(id, view)}. Call `show` with the facts of the map whenever they may have changed, and
+ * `put` with a view that was edited here, or with null for one that was deleted.
  */
 export function located(name, chosen) {
   const points = new Map(); // id -> point, or null for a view without a position
   const picture = plan([], { picked: (point) => chosen(point.id) });
-  const said = h("p", { class: "quiet" });
+  const counts = h("p", { class: "quiet" });
   const more = h("button", { type: "button", onclick: readAll, hidden: true }, "Show all");
   const wrong = h("div");
   const element = h(
@@ -23,7 +23,7 @@ export function located(name, chosen) {
     { class: "panel", hidden: true },
     h("h2", {}, "Plan"),
     picture.element,
-    said,
+    counts,
     more,
     wrong,
   );
@@ -31,14 +31,14 @@ export function located(name, chosen) {
   let most = AT_FIRST;
   let total = 0;
   let reading = false;
-  let again = false; // something came while it was being read
+  let again = false; // whether the map changed while it was being read
 
   function show(map) {
     element.hidden = !map.extent;
     const number = Object.values(map.views).reduce((sum, views) => sum + views, 0);
     if (element.hidden) return;
     if (!list || number < total)
-      begin(); // some were deleted elsewhere, nobody says which
+      begin(); // views were deleted elsewhere, and it is not known which
     else list.resume();
     total = number;
     read();
@@ -63,7 +63,7 @@ export function located(name, chosen) {
       wrong.replaceChildren(problemBox(error), h("button", { type: "button", onclick: read }, "Try again"));
     } finally {
       reading = false;
-      told();
+      showCounts();
     }
   }
 
@@ -75,16 +75,16 @@ export function located(name, chosen) {
       if (mine !== list) continue; // begun anew
       for (const view of value.views) points.set(view.id, view.position && pointOf(view));
       picture.show(here());
-      told();
+      showCounts();
     }
   }
 
   const here = () => [...points.values()].filter(Boolean);
 
-  function told() {
+  function showCounts() {
     const [read, all] = [points.size, total].map((number) => number.toLocaleString("en-GB"));
     const some = points.size < total && (reading || points.size >= most);
-    said.textContent = some ? `It shows the first ${read} of ${all} views${reading ? " …" : "."}` : "";
+    counts.textContent = some ? `It shows the first ${read} of ${all} views${reading ? " …" : "."}` : "";
     more.hidden = !some || reading;
   }
 

@@ -71,7 +71,7 @@ function signIn(problem = null) {
     required: true,
     "aria-describedby": "sign-in-why",
   });
-  const told = h("div", {}, problem && key.get() ? problemBox(problem) : null);
+  const notice = h("div", {}, problem && key.get() ? problemBox(problem) : null);
   const dialog = h(
     "dialog",
     { id: "sign-in", class: "small", "aria-labelledby": "sign-in-title" },
@@ -84,7 +84,7 @@ function signIn(problem = null) {
       h("code", {}, "./revisit keys create NAME"),
       ".",
     ),
-    told,
+    notice,
     h(
       "form",
       { onsubmit: tried },
@@ -124,7 +124,7 @@ function signIn(problem = null) {
     } catch (error) {
       if (before) key.set(before);
       else key.forget();
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
       input.focus();
       input.select();
     }

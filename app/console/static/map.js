@@ -81,7 +81,7 @@ export function mapScreen(name) {
   }
 
   function decisions() {
-    const told = h("div");
+    const notice = h("div");
     const precision = h("input", { type: "number", min: 0.5, max: 0.999, step: 0.001 });
     let asked = null; // the precision of the map that the input was filled with
     const shown = part(
@@ -114,11 +114,11 @@ export function mapScreen(name) {
           json: { ranking: { precision: Number(precision.value) } },
           type: "application/merge-patch+json",
         });
-        told.replaceChildren();
+        notice.replaceChildren();
         announce("changed");
         await load();
       } catch (error) {
-        told.replaceChildren(problemBox(error));
+        notice.replaceChildren(problemBox(error));
       }
     }
     const element = h(
@@ -126,7 +126,7 @@ export function mapScreen(name) {
       { class: "panel" },
       h("h2", {}, "What its verdicts rest on"),
       shown.element,
-      told,
+      notice,
       h(
         "form",
         { class: "row", onsubmit: changed },
@@ -146,7 +146,7 @@ export function mapScreen(name) {
     part(({ labels, vocabulary, recipe, ranking }) => [labels, vocabulary, recipe, ranking], vocabulary);
 
   function vocabulary(map) {
-    const told = h("div");
+    const notice = h("div");
     const train = h(
       "button",
       {
@@ -156,7 +156,7 @@ export function mapScreen(name) {
             await call("POST", `${path}/vocabulary`);
             jobs.look();
           } catch (error) {
-            told.replaceChildren(problemBox(error));
+            notice.replaceChildren(problemBox(error));
           }
         },
       },
@@ -195,7 +195,7 @@ export function mapScreen(name) {
         h("summary", {}, "Recipe and ranking"),
         h("pre", { tabindex: "0" }, JSON.stringify({ recipe: map.recipe, ranking: map.ranking }, null, 1)),
       ),
-      told,
+      notice,
       train,
     );
   }
@@ -236,12 +236,12 @@ export function mapScreen(name) {
     );
 
   function removal() {
-    const told = h("div");
+    const notice = h("div");
     return h(
       "section",
       { class: "panel" },
       h("h2", {}, "Delete"),
-      told,
+      notice,
       h(
         "button",
         {
@@ -261,7 +261,7 @@ export function mapScreen(name) {
               await showReceipt(`The map ${name} is deleted`, await call("DELETE", path));
               location.hash = "#maps";
             } catch (error) {
-              told.replaceChildren(problemBox(error));
+              notice.replaceChildren(problemBox(error));
             }
           },
         },

@@ -5,7 +5,7 @@ import { MAP_NAME, field, h, problemBox, size, table } from "./dom.js";
 
 export function mapsScreen() {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Maps" });
-  const told = h("div");
+  const notice = h("div");
   const inputs = {
     name: h("input", { required: true, ...MAP_NAME }),
     preset: h("input", { placeholder: "default", spellcheck: "false" }),
@@ -41,7 +41,7 @@ export function mapsScreen() {
       const facts = await call("PUT", `/maps/${encodeURIComponent(inputs.name.value.trim())}`, { json: given });
       location.hash = `#maps/${encodeURIComponent(facts.name)}`;
     } catch (error) {
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
     }
   }
 
@@ -60,7 +60,7 @@ export function mapsScreen() {
           {},
           h("summary", {}, "New map"),
           h("p", {}, "Enrolling makes a map too. Make one here to choose its labels first."),
-          told,
+          notice,
           h(
             "form",
             { onsubmit: made },

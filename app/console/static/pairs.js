@@ -57,7 +57,7 @@ export function pairs(query, match, photo) {
     {},
     keypoints.map(([from, to]) => both.link(from, to, { class: "keypoint" })),
   );
-  const said = h("p", { class: "quiet" }, nodes.length ? "Point at a region to see its label and similarity." : "");
+  const hovered = h("p", { class: "quiet" }, nodes.length ? "Point at a region to see its label and similarity." : "");
   const drawn = nodes.map((pair, index) => {
     const [[x1, y1], [x2, y2]] = [both.left(pair.query), both.right(pair.view)];
     const on = { onmouseenter: () => light(index), onmouseleave: () => light(null) };
@@ -91,7 +91,7 @@ export function pairs(query, match, photo) {
         shape.classList.toggle("dim", chosen !== null && index !== chosen);
       }),
     );
-    if (chosen !== null) said.textContent = `${nodes[chosen].label}: similarity ${decimals(nodes[chosen].cosine)}`;
+    if (chosen !== null) hovered.textContent = `${nodes[chosen].label}: similarity ${decimals(nodes[chosen].cosine)}`;
   }
   both.element.append(layer, ...drawn.flat());
   const shown = checkbox(`Keypoints (${keypoints.length})`, {
@@ -105,7 +105,7 @@ export function pairs(query, match, photo) {
     {},
     both.element,
     keypoints.length > 0 && shown.label,
-    said,
+    hovered,
     chips.length > 0 && h("ul", { class: "chips", "aria-label": "Regions that agree" }, chips),
   );
 }

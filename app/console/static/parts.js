@@ -1,4 +1,4 @@
-// The parts of one map: what every screen of it begins with.
+// What every screen of a map begins with, and parts of screens that are drawn anew.
 
 import { h } from "./dom.js";
 
@@ -24,14 +24,14 @@ export function mapHead(name, current = "") {
 }
 
 /**
- * A part of a screen that is made anew, `make(map)`, only where what it shows, `of(map)`, has changed: what is unfolded
- * or typed there stays. Gives {element, show(map)}.
+ * A part of a screen that `make(map)` draws. It is drawn anew only when `basisOf(map)`, what it shows, has changed, so
+ * that what is unfolded or typed there stays. Gives {element, show(map)}.
  */
-export function part(of, make) {
+export function part(basisOf, make) {
   const element = h("div");
   let shown = null;
   function show(map) {
-    const now = JSON.stringify(of(map));
+    const now = JSON.stringify(basisOf(map));
     if (now === shown) return;
     shown = now;
     element.replaceChildren(make(map));

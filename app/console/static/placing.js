@@ -1,4 +1,4 @@
-// Positions of photos by a click on the map's plan.
+// Gives photos positions by clicks on the map's plan.
 
 import { h, problemBox } from "./dom.js";
 import { outline, plan } from "./plan.js";
@@ -6,13 +6,13 @@ import { outline, plan } from "./plan.js";
 /**
  * Details with the plan of a map. `map()` promises its name, `next()` gives the photo that is placed now,
  * {name, put(position)}, or null.
- * Gives {element, told, draw}; `told` is to be called when another photo is next, `draw` when another map is chosen.
+ * Gives {element, update, draw}; call `update` when another photo is next, `draw` when another map is chosen.
  */
 export function placing(map, next) {
   const body = h("div");
   let drawn = 0;
   const name = h("strong", {});
-  const said = h("p", {}, "Click where this was taken: ", name);
+  const instruction = h("p", {}, "Click where this was taken: ", name);
   const element = h("details", { ontoggle: draw }, h("summary", {}, "Set positions on the plan"), body);
 
   async function draw() {
@@ -25,12 +25,12 @@ export function placing(map, next) {
       add(points);
       if (shown) return;
       shown = true;
-      body.replaceChildren(said, picture);
-      told();
+      body.replaceChildren(instruction, picture);
+      update();
     };
     try {
       await outline(await map(), show, () => mine === drawn).catch((error) => {
-        if (error.status !== 404) throw error; // a map that is made by its first photo has none
+        if (error.status !== 404) throw error; // the map is still to be made, by its first photo
       });
       if (mine !== drawn) return; // another map was chosen meanwhile
       if (!shown) body.replaceChildren("This map has no positions yet: the first ones come from fields or a CSV file.");
@@ -41,14 +41,14 @@ export function placing(map, next) {
     }
   }
 
-  function told() {
+  function update() {
     name.textContent = next()?.name ?? "no photo is left without a position";
   }
 
   function placed(position) {
     next()?.put(position);
-    told();
+    update();
   }
 
-  return { element, told, draw };
+  return { element, update, draw };
 }

@@ -15,7 +15,7 @@ const AROUND_M = 50;
 /** Degrees of longitude within 180 of 0: positions on both sides of the date line are near each other. */
 const turned = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
 
-/** Metres of a degree of longitude at a latitude; at a pole, where all longitudes are one point, some. */
+/** Metres of a degree of longitude at a latitude; above 0 even at a pole, where all longitudes are one point. */
 const metresEast = (lat) => METRES_PER_DEGREE * Math.max(Math.cos((lat * Math.PI) / 180), 1e-6);
 
 const isGeographic = ({ lat }) => lat !== null && lat !== undefined;
@@ -29,13 +29,13 @@ function flat(position, middle) {
 
 /**
  * A plan of points {position, kind, name}; kinds: view, match, first.
- * circle: {position, radius in m or null}. picked(point) is called for the point that was chosen, placed(position) for
- * any spot.
- * Gives {element, add(points), show(points)}; `show` leaves out those that were there before.
+ * circle: {position, radius in m or null}. picked(point) is called for a point that was clicked, placed(position) for
+ * any spot that was.
+ * Gives {element, add(points), show(points)}; `show` replaces the points that were there before.
  */
 export function plan(points, { circle = null, picked = null, placed = null } = {}) {
   const canvas = h("canvas", { class: picked || placed ? "plan picks" : "plan", role: "img" });
-  const said = h("p", { class: "quiet" });
+  const nearestName = h("p", { class: "quiet" });
   let all = [...points];
   let drawn = []; // [pixel x, pixel y, point]
   let toMap = null;
@@ -152,9 +152,9 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
   }
 
   function colour(name) {
-    said.style.color = `var(${name})`;
-    const found = getComputedStyle(said).color;
-    said.style.color = "";
+    nearestName.style.color = `var(${name})`;
+    const found = getComputedStyle(nearestName).color;
+    nearestName.style.color = "";
     return found;
   }
 
@@ -164,7 +164,7 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
     else if (picked && found) picked(found);
   });
   canvas.addEventListener("mousemove", (event) => {
-    said.textContent = nearest(event.offsetX, event.offsetY)?.name ?? "";
+    nearestName.textContent = nearest(event.offsetX, event.offsetY)?.name ?? "";
   });
   function nearest(left, top) {
     let [best, least] = [null, NEAR_PX];
@@ -178,8 +178,8 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
   const redraw = () => (canvas.isConnected ? draw() : window.removeEventListener("theme", redraw));
   window.addEventListener("theme", redraw);
   let soon = null;
-  /** Draw once for what comes within a while: many points come page by page. */
-  function later() {
+  /** Draw once for all points that come within a short while. */
+  function drawSoon() {
     soon ??= setTimeout(
       () => {
         soon = null;
@@ -189,14 +189,14 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
     );
   }
   return {
-    element: h("div", {}, canvas, said),
+    element: h("div", {}, canvas, nearestName),
     add: (more) => {
       for (const point of more) all.push(point);
-      later();
+      drawSoon();
     },
     show: (points) => {
       all = [...points];
-      later();
+      drawSoon();
     },
   };
 }

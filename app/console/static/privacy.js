@@ -10,7 +10,7 @@ const GROUPS = [
 
 /** The section of a map, of which `latest()` gives the facts; `changed` is called after something was. */
 export function photosSection(latest, path, changed) {
-  const told = h("div");
+  const notice = h("div");
   const map = latest();
   const total = Object.values(map.views).reduce((sum, views) => sum + views, 0);
 
@@ -19,7 +19,7 @@ export function photosSection(latest, path, changed) {
       await call("PATCH", path, { json, type: "application/merge-patch+json" });
       await changed(done);
     } catch (error) {
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
     }
   }
 
@@ -27,7 +27,7 @@ export function photosSection(latest, path, changed) {
     "section",
     { class: "panel", "data-part": "photos" },
     h("h2", {}, "What becomes of photos"),
-    told,
+    notice,
     blurring(map, total, patch),
     keeping(map, total, () => latest().views.ready ?? 0, patch),
   );

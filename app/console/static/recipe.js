@@ -18,7 +18,7 @@ import {
   table,
 } from "./dom.js";
 import { image } from "./images.js";
-import { followed } from "./jobs.js";
+import { follow } from "./jobs.js";
 import { mapHead } from "./parts.js";
 
 const QUERIES = 100;
@@ -33,7 +33,7 @@ const WORDS = Object.fromEntries(STATUSES);
 
 export function recipeScreen(name) {
   const path = `/maps/${encodeURIComponent(name)}`;
-  const told = h("div");
+  const notice = h("div");
   const shown = h("div", {}, h("p", {}, "Loading …"));
   let left = false;
 
@@ -50,7 +50,7 @@ export function recipeScreen(name) {
   }
 
   function tell(text) {
-    told.replaceChildren(h("p", { class: "done" }, text));
+    notice.replaceChildren(h("p", { class: "done" }, text));
     announce(text);
     return load();
   }
@@ -127,7 +127,7 @@ export function recipeScreen(name) {
   async function watched(job, where, text) {
     const draw = (now) => where.replaceChildren(progressOf(now));
     draw(job);
-    const ended = await followed(job, draw, () => !left);
+    const ended = await follow(job, draw, () => !left);
     if (left) return;
     if (ended.state === "done") await tell(text);
     else where.replaceChildren(problemBox({ title: `The job is ${ended.state}`, detail: ended.failure?.detail ?? "" }));
@@ -185,7 +185,7 @@ export function recipeScreen(name) {
   }
 
   return {
-    element: h("div", {}, mapHead(name, "recipe"), told, shown),
+    element: h("div", {}, mapHead(name, "recipe"), notice, shown),
     enter: load,
     leave: () => {
       left = true;

@@ -2,7 +2,7 @@
 
 import { call, upload } from "./api.js";
 import { announce, confirmed, count, facts, field, h, picker, problemBox, size, staying, table } from "./dom.js";
-import { followed } from "./jobs.js";
+import { follow } from "./jobs.js";
 
 const UNFOLDED = 20; // errors of a kind that are shown at once
 export const RECORDINGS = /\.(zip|mp4|m4v|mov|mkv|webm|avi|mcap)$/i;
@@ -23,7 +23,7 @@ export function recording(map, changed) {
   let job = null;
   let busy = false;
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Progress of the recording", hidden: true });
-  const said = h("p", { class: "quiet told" }, "None is chosen.");
+  const status = h("p", { class: "quiet told" }, "None is chosen.");
   const result = h("div");
   const every = h("input", { size: 6, placeholder: "all", spellcheck: "false", autocomplete: "off" });
   const start = h("button", { type: "submit", class: "first", disabled: true }, "Import the recording");
@@ -32,7 +32,7 @@ export function recording(map, changed) {
   function take(chosen) {
     if (!chosen || busy) return;
     file = chosen;
-    said.textContent = `${file.name}, ${size(file.size)}`;
+    status.textContent = `${file.name}, ${size(file.size)}`;
     start.disabled = false;
   }
 
@@ -49,18 +49,20 @@ export function recording(map, changed) {
       const sent = (share) => {
         bar.max = 1;
         bar.value = share;
-        said.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
+        status.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
       };
       job = await staying(() => upload(path, file, "application/octet-stream", sent));
       stop.hidden = false;
-      job = await followed(job, show);
-      said.textContent = { done: "Done", cancelled: "Cancelled; what was enrolled stays", failed: "Failed" }[job.state];
-      said.textContent += `: ${name}.`;
+      job = await follow(job, show);
+      status.textContent = { done: "Done", cancelled: "Cancelled; what was enrolled stays", failed: "Failed" }[
+        job.state
+      ];
+      status.textContent += `: ${name}.`;
       if (job.state === "failed") result.prepend(problemBox({ title: "The job failed", ...job.failure }));
-      announce(said.textContent);
+      announce(status.textContent);
       changed();
     } catch (error) {
-      said.textContent = `${file.name} was not imported.`;
+      status.textContent = `${file.name} was not imported.`;
       result.replaceChildren(problemBox(error));
     } finally {
       busy = false;
@@ -73,9 +75,9 @@ export function recording(map, changed) {
     if (progress) {
       bar.max = Math.max(progress.total, 1);
       bar.value = progress.done;
-      said.textContent = `${progress.done.toLocaleString("en-GB")} of ${count(progress.total, "image")}`;
+      status.textContent = `${progress.done.toLocaleString("en-GB")} of ${count(progress.total, "image")}`;
     }
-    if (report) result.replaceChildren(came(report));
+    if (report) result.replaceChildren(reportSummary(report));
   }
 
   async function cancel() {
@@ -110,7 +112,7 @@ export function recording(map, changed) {
       { onsubmit: run },
       h("div", { class: "row low" }, pick, field("Every", every), start, stop),
     ),
-    said,
+    status,
     bar,
     result,
   );
@@ -118,7 +120,7 @@ export function recording(map, changed) {
 }
 
 /** What came of a recording: counts, and the errors of each kind. */
-function came(report) {
+function reportSummary(report) {
   const kinds = new Map();
   for (const one of report.errors ?? []) kinds.set(one.problem, [...(kinds.get(one.problem) ?? []), one]);
   return h(

@@ -10,7 +10,7 @@ const EVERY_MS = 5000;
 export function serviceScreen() {
   const parts = Object.fromEntries(["checks", "loaded", "figures"].map((name) => [name, h("div")]));
   // These are looked at longer, unfolded and copied from: they are drawn anew where they have changed.
-  const version = part((told) => told, loaded);
+  const version = part((version) => version, loaded);
   const recent = part((list) => list, problems);
   const jobs = jobList(null, undefined, EVERY_MS);
   let timer = null;
@@ -83,12 +83,12 @@ async function readiness() {
   const response = await fetched("/readyz", { headers: service.headers() }).catch(() => {
     throw Problem.silence();
   });
-  const told = await response
+  const checked = await response
     .clone()
     .json()
     .catch(() => null);
-  if (!told?.checks) throw await Problem.of(response);
-  return told;
+  if (!checked?.checks) throw await Problem.of(response);
+  return checked;
 }
 
 async function checks() {

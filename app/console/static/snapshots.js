@@ -16,7 +16,7 @@ import {
   staying,
   table,
 } from "./dom.js";
-import { followed } from "./jobs.js";
+import { follow } from "./jobs.js";
 
 export function snapshotsScreen() {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Snapshots" });
@@ -108,7 +108,7 @@ export function snapshotsScreen() {
 }
 
 function making(maps, made, wanted) {
-  const told = h("div", { class: "told" });
+  const notice = h("div", { class: "told" });
   const bar = h("progress", { max: 1, "aria-label": "Progress of the snapshot", hidden: true });
   const button = h("button", { type: "submit", class: "first" }, "Make a snapshot");
 
@@ -120,14 +120,14 @@ function making(maps, made, wanted) {
     try {
       const name = await maps.chosen();
       const started = await call("POST", `/maps/${encodeURIComponent(name)}/snapshots`);
-      const job = await followed(started, ({ progress }) => progress && show(progress), wanted);
+      const job = await follow(started, ({ progress }) => progress && show(progress), wanted);
       if (!wanted()) return;
       if (job.state !== "done") throw Object.assign(new Error(), { title: `The job ${job.state}`, ...job.failure });
-      told.replaceChildren(h("p", { class: "done" }, `The snapshot of ${name} is made.`));
+      notice.replaceChildren(h("p", { class: "done" }, `The snapshot of ${name} is made.`));
       announce(`The snapshot of ${name} is made.`);
       made();
     } catch (error) {
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
     } finally {
       button.disabled = false;
       bar.hidden = true;
@@ -137,7 +137,7 @@ function making(maps, made, wanted) {
   function show({ done, total }) {
     bar.max = Math.max(total, 1);
     bar.value = done;
-    told.replaceChildren(h("p", { class: "quiet" }, `${done} of ${count(total, "image")}`));
+    notice.replaceChildren(h("p", { class: "quiet" }, `${done} of ${count(total, "image")}`));
   }
 
   return h(
@@ -147,13 +147,13 @@ function making(maps, made, wanted) {
     h("p", {}, "In the background, while the map is used. It holds the map as it is at the beginning."),
     h("form", { onsubmit: make }, h("div", { class: "spaced" }, field("Map", maps.select)), button),
     bar,
-    told,
+    notice,
   );
 }
 
 function restoring(maps) {
   let file = null;
-  const told = h("div", { class: "told" });
+  const notice = h("div", { class: "told" });
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Sent of the file", hidden: true });
   const chosen = h("p", { class: "quiet" }, "No file is chosen.");
   const as = h("input", { placeholder: "as it was", ...MAP_NAME });
@@ -168,23 +168,23 @@ function restoring(maps) {
     event.preventDefault();
     button.disabled = true;
     bar.hidden = false;
-    told.replaceChildren();
+    notice.replaceChildren();
     try {
       const path = address("/restore", { as: as.value.trim() });
       const sent = (share) => {
         bar.value = share;
-        if (share === 1) told.replaceChildren(h("p", { class: "quiet" }, "Verifying and storing it …"));
+        if (share === 1) notice.replaceChildren(h("p", { class: "quiet" }, "Verifying and storing it …"));
       };
       const restored = await staying(() => upload(path, file, "application/x-tar", sent));
       const link = h("a", { href: `#maps/${encodeURIComponent(restored.map)}` }, restored.map);
       const pending = restored.pending > 0 && `, ${restored.pending.toLocaleString("en-GB")} of them described anew`;
       const ids = restored.new_ids && " Its views have new ids, since one of theirs was in use.";
       const what = `: ${count(restored.views, "view")}`;
-      told.replaceChildren(h("p", { class: "done" }, "Restored as ", link, what, pending, ".", ids));
+      notice.replaceChildren(h("p", { class: "done" }, "Restored as ", link, what, pending, ".", ids));
       announce(`Restored as ${restored.map}`);
       maps.refresh();
     } catch (error) {
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
     } finally {
       button.disabled = false;
       bar.hidden = true;
@@ -205,6 +205,6 @@ function restoring(maps) {
       button,
     ),
     bar,
-    told,
+    notice,
   );
 }

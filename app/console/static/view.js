@@ -8,7 +8,7 @@ import { showReceipt } from "./receipt.js";
 
 /** Open a dialog with a view; `changed` is called after it was edited, with what it is now, or deleted, with null. */
 export function openView(view, map, changed) {
-  const told = h("div");
+  const notice = h("div");
   const picture = h("div");
   const kinds = [
     [
@@ -64,7 +64,7 @@ export function openView(view, map, changed) {
       h(
         "div",
         {},
-        told,
+        notice,
         view.failure && problemBox({ title: view.failure.code, detail: view.failure.detail }),
         facts([
           ["Position", inWords(view.position)],
@@ -81,7 +81,7 @@ export function openView(view, map, changed) {
             bars(view.description.labels.slice(0, 10).map((one) => [one.label, one.share])),
           ),
         view.state === "ready" && changesSince(view, map),
-        editor(view, map, told, done),
+        editor(view, map, notice, done),
         h("p"),
         h("button", { type: "button", class: "danger", onclick: remove }, "Delete this view …"),
       ),
@@ -107,7 +107,7 @@ export function openView(view, map, changed) {
       await showReceipt("The view is deleted", await call("DELETE", view.links.self));
       done(null);
     } catch (error) {
-      told.replaceChildren(problemBox(error));
+      notice.replaceChildren(problemBox(error));
     }
   }
   dialog.addEventListener("close", () => dialog.remove());
@@ -116,7 +116,7 @@ export function openView(view, map, changed) {
   dialog.showModal();
 }
 
-function editor(view, map, told, done) {
+function editor(view, map, notice, done) {
   const position = view.position ?? {};
   const geographic =
     position.lat !== undefined && position.lat !== null
@@ -169,7 +169,7 @@ function editor(view, map, told, done) {
       });
       done(after);
     } catch (error) {
-      told.replaceChildren(
+      notice.replaceChildren(
         problemBox(
           error instanceof SyntaxError ? { title: "Metadata", detail: `not a JSON object: ${error.message}` } : error,
         ),
@@ -198,7 +198,7 @@ function editor(view, map, told, done) {
 const isNumber = (value) => typeof value === "number";
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 
-/** What makes `after` of `before`, two objects, by RFC 7396: what is left out of an object would stay. */
+/** The merge patch (RFC 7396) that makes object `after` of object `before`: null for each name that goes. */
 function mergePatch(before, after) {
   const removed = Object.keys(before).filter((name) => !Object.hasOwn(after, name));
   const made = Object.entries(after).map(([name, value]) => [

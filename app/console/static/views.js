@@ -51,7 +51,7 @@ export function grid(chosen) {
     track,
   );
   const cells = new Map(); // index -> element
-  const told = h("div");
+  const notice = h("div");
   let views = null;
   let map = null;
   let total = 0;
@@ -129,7 +129,7 @@ export function grid(chosen) {
       if (latest !== list) return;
       broken = true;
       const button = h("button", { type: "button", onclick: tryAgain }, "Try again");
-      told.replaceChildren(problemBox(error), button);
+      notice.replaceChildren(problemBox(error), button);
     }
     function tryAgain() {
       mended();
@@ -140,7 +140,7 @@ export function grid(chosen) {
 
   function mended() {
     broken = false;
-    told.replaceChildren();
+    notice.replaceChildren();
   }
 
   function made(view, index) {
@@ -171,5 +171,5 @@ export function grid(chosen) {
     });
   });
   new ResizeObserver(draw).observe(element);
-  return { element: h("div", {}, element, told), show };
+  return { element: h("div", {}, element, notice), show };
 }
