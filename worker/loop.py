@@ -207,7 +207,7 @@ class Loop:
                     self._take(AHEAD * self._batch - len(underway), underway)
                 if underway:
                     self._idle.clear()
-                    with _of(underway[0].claim):
+                    with _log_fields(underway[0].claim):
                         self._settle(underway[0])
                     underway.pop(0)
                 else:
@@ -227,12 +227,12 @@ class Loop:
             self._put_back(item)
 
     def _put_back(self, item: _Underway) -> None:
-        """Before the end: release a job that has not begun, store the description of another if that is possible."""
+        """When the loop stops: release a job that has not begun, else store its description if that is possible."""
         try:
             if item.future.cancel():
                 self._jobs.release(item.claim)
             else:
-                with _of(item.claim):
+                with _log_fields(item.claim):
                     self._settle(item)
         except Exception as error:  # without this worker's signs of life the job goes back to the queue
             log.warning("job %s is left to the next worker: %s", item.claim.job_id, error)
@@ -269,12 +269,12 @@ class Loop:
                 self._stopping.wait(IDLE_S)
 
     def _take(self, count: int, underway: list[_Underway]) -> None:
-        """Claim up to `count` jobs and begin with them: each is underway then, whatever becomes of the others."""
+        """Claim up to `count` jobs and begin them; each is added to `underway`, even if others fail to begin."""
         if count <= 0:
             return
         claims, unread = self._jobs.claim(self._name, count), []
         for claim in claims:
-            with _of(claim):
+            with _log_fields(claim):
                 try:
                     image = self._decoded.take(claim.view.image.sha256)
                     if image is None:
@@ -291,11 +291,12 @@ class Loop:
             raise unread[-1]
 
     def _settle(self, item: _Underway) -> None:
+        """Wait for the description of a job and store it, or end the job as failed; raises what storing raises."""
         try:
             description = item.future.result().value
         except (EncoderAway, *STORAGE_ERRORS):
-            # The service stops, or else the scheduler would have waited; or the image cannot be read now, which is no
-            # fault of the view.
+            # The service stops (else the scheduler would have waited for the encoder), or the image cannot be read now:
+            # neither is a fault of the view.
             self._jobs.release(item.claim)
             return
         except Exception as error:
@@ -319,9 +320,10 @@ class Loop:
             self._give_up(item.claim, error)
             return
         self._trouble.ends()
-        self._tell(item.claim)
+        self._notify(item.claim)
 
     def _give_up(self, claim: Claim, error: Exception) -> None:
+        """End a job as failed because of an error, which is logged."""
         if isinstance(error, RevisitError):
             code, detail = error.code, error.detail
             failed = {"event": "describe_failed", "problem": code}
@@ -337,15 +339,16 @@ class Loop:
         except LeaseLost:
             log.info("job %s was given to another worker, or its view was deleted", claim.job_id)
         self._trouble.ends()
-        self._tell(claim)
+        self._notify(claim)
 
-    def _tell(self, claim: Claim) -> None:
+    def _notify(self, claim: Claim) -> None:
+        """Call the functions of `on_finish`."""
         for notify in self._on_finish:
             notify(claim.view.id)
 
 
-def _of(claim: Claim) -> AbstractContextManager[None]:
-    """The fields of log lines about a describe job."""
+def _log_fields(claim: Claim) -> AbstractContextManager[None]:
+    """Gives log lines of a block the ids of a describe job and its view."""
     return bound(job_id=claim.job_id, view_id=claim.view.id)
 
 

@@ -48,7 +48,7 @@ def test_a_job_that_was_lost_is_noticed_also_after_the_database_was_away(monkeyp
     with _Heartbeat(report) as beat:
         until(lambda: beat._lost is not None)
         with pytest.raises(LeaseLost):
-            beat.tell(JobProgress(1, 2))
+            beat.report(JobProgress(1, 2))
 
 
 def test_views_that_are_deleted_meanwhile_or_damaged_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

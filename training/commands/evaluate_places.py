@@ -25,7 +25,7 @@ from schemas.settings import Settings, read_settings
 from training.commands.export import export
 from training.commands.train_vocabulary import general_images, train_vocabulary
 from worker.description.ports import Encoder
-from worker.description.presets import PRESETS, carried
+from worker.description.presets import PRESETS, adapted
 from worker.encoders.compact.encoder import CompactEncoder
 
 SETS = ("corridor", "essex_campus", "gardenspoint", "months", "nordland", "pepper_changed", "pepper_repeat")
@@ -85,7 +85,7 @@ def recall_of(
     ValueError
         Too few images for the vocabulary of the preset.
     """
-    vocabulary = train_vocabulary(encoder, carried(settings.preset, encoder), images, seed)
+    vocabulary = train_vocabulary(encoder, adapted(settings.preset, encoder), images, seed)
     with runtime_for_measuring(settings, settings.device, lambda settings, threads: (encoder, None)) as runtime:
         judged = [contender(runtime, settings.preset, vocabulary)]
         return [

@@ -19,7 +19,7 @@ from schemas.image import Image
 from schemas.settings import Settings
 from training.data.images import read_rgb
 from worker.description.ports import Encoder
-from worker.description.presets import PRESETS, Preset, carried
+from worker.description.presets import PRESETS, Preset, adapted
 from worker.description.vocabularies import SHIPPED, Vocabulary, train
 from worker.encoders.choosing import make_encoder
 from worker.method import labels, static_mask
@@ -103,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in options.preset or PRESETS:
         drawn = options.encoder == "color"
         images = drawn_images(options.seed) if drawn else general_images(options.data, options.seed, folders)
-        learned = train_vocabulary(encoder, carried(name, encoder), images, options.seed)
+        learned = train_vocabulary(encoder, adapted(name, encoder), images, options.seed)
         path = options.to / f"{encoder.name}-{name}.vocabulary.safetensors"
         path.write_bytes(learned.tensors)
         print(f"{path.name}: {len(learned.tensors):,} bytes, SHA-256 {learned.digest}")

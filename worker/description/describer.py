@@ -81,11 +81,11 @@ class Describer:
             segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
         )
 
-    def look(self, field: PixelField, segmented: PixelField) -> PhotoCells:
-        """An image's cells as changes are found in them: labels are those of `segmented`, which may be finer.
+    def photo_cells(self, field: PixelField, segmented: PixelField) -> PhotoCells:
+        """The cells of an image in which changes are looked for; labels come from `segmented`, which may be finer.
 
-        All labels of the recipe that move count as moving, without its margin: nothing of them may seem to have
-        changed.
+        A cell whose best label is dynamic is left out whatever the margin of the recipe, so that nothing that moves
+        counts as a change.
         """
         rows, columns = field.shape
         layers = {name: dense_cells.grid(layer, rows, columns) for name, layer in field.layers.items()}

@@ -59,11 +59,11 @@ class Describers:
         return self._kept(self._made, recipe.id, lambda: self._describer(recipe))
 
     def impostors(self, recipe: DescriptionRecipe) -> Impostors | None:
-        """Pictures of no place that queries of a map with a recipe are compared with; None where there are none."""
+        """The impostors that queries of maps with a recipe are compared with; None where there are none."""
         return self._kept(self._impostors, recipe.id, lambda: self._shipped_for(recipe))
 
     def _kept(self, kept: OrderedDict[str, Made], key: str, make: Callable[[], Made]) -> Made:
-        """What is kept by a key, or made and kept now."""
+        """The value kept under a key; made, and kept, where there is none."""
         with self._lock:
             if key in kept:
                 kept.move_to_end(key)

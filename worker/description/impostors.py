@@ -18,28 +18,29 @@ from worker.method.byte_vectors import quantise
 from worker.method.impostors import Impostors
 
 PRESET = "default"
-"""By whose vocabulary they are described."""
+"""The preset by whose vocabulary they are described."""
 
 EXTENT = (1.0, 0.75)
-"""Of the pictures that `training.commands.describe_impostors` draws."""
+"""Extent of the pictures that `training.commands.describe_impostors` draws."""
 
 
 def path_of(encoder: str) -> Path:
-    """Where those of an encoder are."""
+    """The file with the impostors of an encoder."""
     return SHIPPED / f"{encoder}.impostors.safetensors"
 
 
 def write(path: Path, recipe: DescriptionRecipe, impostors: Impostors) -> None:
-    """Keep impostors that were described by a recipe."""
+    """Write impostors, as described by a recipe, to a file."""
     tensors: dict[str, npt.NDArray[np.generic]] = {"cells": impostors.full}
     tensors |= {f"vectors.{name}": vectors for name, vectors in impostors.vectors.items()}
     path.write_bytes(save(tensors, {"recipe": json.dumps(_described_by(recipe))}))
 
 
 def shipped_for(recipe: DescriptionRecipe, vocabulary_of: Callable[[str], Vocabulary]) -> Impostors | None:
-    """Those that ship for a recipe; None where there are none for its encoder or its grid of cells.
+    """The impostors that ship for a recipe; None where there are none for its encoder or its grid of cells.
 
-    For another vocabulary than theirs they have no histograms, and their cells are carried over to it.
+    Where the recipe has another vocabulary than they were described by, they have no histograms, and their cells are
+    carried over to it.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def shipped_for(recipe: DescriptionRecipe, vocabulary_of: Callable[[str], Vocabu
 
 @cache
 def read(encoder: str) -> tuple[Mapping[str, object], Impostors] | None:
-    """What the impostors of an encoder were described by, and the impostors."""
+    """The impostors of an encoder, and before them what they were described by; None without a file."""
     path = path_of(encoder)
     if not path.exists():
         return None
@@ -73,13 +74,13 @@ def read(encoder: str) -> tuple[Mapping[str, object], Impostors] | None:
 
 
 def _described_by(recipe: DescriptionRecipe) -> dict[str, object]:
-    """What cells and histograms of a picture without anything that moves depend on."""
+    """The fields of a recipe that cells and histograms depend on, in a picture in which nothing moves."""
     parameters = recipe.parameters.model_dump(mode="json", include={"channels", "dense"})
     return {"weights": recipe.weights, "vocabulary": recipe.vocabulary, **parameters}
 
 
 def _grid(described_by: Mapping[str, object]) -> dict[str, object]:
-    """The part of `_described_by` that decides about cells before a vocabulary reduces them."""
+    """The fields of `_described_by` that cells depend on before a vocabulary reduces their dimensions."""
     channels = described_by["channels"]
     assert isinstance(channels, Mapping)
     layers = {name: channel["layer"] for name, channel in channels.items()}
@@ -89,9 +90,9 @@ def _grid(described_by: Mapping[str, object]) -> dict[str, object]:
 def _carried_over(
     impostors: Impostors, before: Vocabulary, now: Vocabulary, shares: Mapping[str, float]
 ) -> Impostors | None:
-    """As described by another vocabulary: what both keep of a cell is nearly all of it (cosine .96 and more).
+    """Impostors with cells as another vocabulary would reduce them, nearly: the cosine is .96 and more.
 
-    None where one of both has nothing that reduces cells.
+    None where either vocabulary does not reduce cells.
     """
     reduced: dict[str, Floats] = {}
     end = 0

@@ -19,10 +19,10 @@ CONTRAST = 0.003
 """SIFT's contrast threshold (OpenCV's default of 0.04 leaves dark rooms without keypoints)."""
 
 CONTRAST_EQUALISED = 0.01
-"""The same where contrast was equalised."""
+"""SIFT's contrast threshold where contrast was equalised."""
 
 CLIP_LIMIT = 2.0
-"""Of CLAHE in 8 x 8 tiles, which equalises contrast before SIFT."""
+"""Clip limit of CLAHE in 8 x 8 tiles, which equalises contrast before SIFT."""
 
 PROJECTION = Path(__file__).with_name("rootsift_projection.npz")
 """Mean and first 48 principal directions of RootSIFT on many images (`training.commands.fit_rootsift_projection`)."""
@@ -81,7 +81,7 @@ def root_descriptors(
     threshold = CONTRAST_EQUALISED if equalised else CONTRAST
     sift = cv2.SIFT_create(nfeatures=max(1, keypoints), contrastThreshold=threshold)
     if upright:
-        found, descriptors = sift.compute(image, _turned_up(sift.detect(image, None)))
+        found, descriptors = sift.compute(image, _upright(sift.detect(image, None)))
     else:
         found, descriptors = sift.detectAndCompute(image, None)
     if descriptors is None or keypoints < 1:
@@ -117,8 +117,8 @@ def reduction() -> tuple[Floats, Floats]:
         return stored["mean"].astype(np.float32), stored["matrix"].astype(np.float32)
 
 
-def _turned_up(found: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
-    """Keypoints without direction; of those with several directions one."""
+def _upright(found: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
+    """Keypoints turned along the image's axes, once each: SIFT gives a keypoint again for each of its directions."""
     spots = {(*key.pt, key.size): key for key in found}
     for key in spots.values():
         key.angle = 0.0
@@ -126,7 +126,7 @@ def _turned_up(found: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
 
 
 def _luminance(pixels: Bytes2D, longer_side: int) -> Bytes2D:
-    """Luminance with its longer side at so many pixels, uint8 (height, width)."""
+    """Luminance of an image, scaled to `longer_side` pixels along its longer side; uint8 (height, width)."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
     scale = longer_side / max(height, width)

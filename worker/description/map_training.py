@@ -149,10 +149,10 @@ class VocabularyTrainer:
     def _fields(
         self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]
     ) -> Iterator[PixelField]:
-        """Pixel fields of the map's views, in random order by `seed`; queries go first.
+        """Pixel fields of a sample of the map's views, in random order by `seed`; queries are encoded before them.
 
-        Without views that were deleted meanwhile, and those whose image is damaged or is not taken any more: a sample
-        can do without them, and the doctor names them.
+        Views are left out that were deleted meanwhile, and those whose image is damaged or no longer accepted: the
+        doctor names them.
         """
         ids: list[str] = []
         cursor: str | None = None
@@ -165,7 +165,7 @@ class VocabularyTrainer:
         for done, number in enumerate(chosen):
             if stopping():
                 raise JobStopped
-            beat.tell(JobProgress(done, len(chosen)))
+            beat.report(JobProgress(done, len(chosen)))
             try:
                 image = self._decode(self._views.image(ids[number]))
             except NotFound:  # it was deleted since they were listed
@@ -180,7 +180,7 @@ LOOK_EVERY_S = 20.0
 
 
 class _Heartbeat:
-    """Looks in a thread of its own, while its block runs, whether the job is still this worker's.
+    """Checks, in a thread of its own while its block runs, whether the job is still this worker's.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ class _Heartbeat:
         self._ended.set()
         self._thread.join()
 
-    def tell(self, progress: JobProgress) -> None:
+    def report(self, progress: JobProgress) -> None:
         """Report progress; raises LeaseLost."""
         if self._lost is not None:
             raise self._lost

@@ -10,7 +10,7 @@ from worker.description.ports import Encoder
 from worker.description.presets import PRESETS, preset_for
 
 USERS_OWN = ("precision", "same_place_m")
-"""Of a ranking, what is the user's word on the map and no part of how it ranks: it stays whatever preset is named."""
+"""Fields of a ranking config that the user sets for the map: naming a preset leaves them as they are."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ class PresetDifferences:
         self._presets: dict[str, tuple[Mapping[str, JsonValue], Mapping[str, JsonValue]]] = {}
 
     def of(self, recipe: MapRecipe) -> tuple[PresetDifference, ...]:
-        """What naming a map's own preset would change of its parameters and ranking; nothing of a preset unknown
-        here."""
+        """The parameters that would change if the map's own preset were named again; empty where it is unknown here."""
         name = recipe.ranking.preset
         if name not in PRESETS:
             return ()
@@ -59,14 +58,14 @@ class PresetDifferences:
 
 
 def _values(half: BaseModel) -> dict[str, JsonValue]:
-    """What a preset may change."""
+    """The values that a preset may change."""
     return half.model_dump(mode="json", exclude={"preset", *USERS_OWN})
 
 
 def _differences(
     path: str, ours: Mapping[str, JsonValue], theirs: Mapping[str, JsonValue]
 ) -> Iterator[PresetDifference]:
-    """Those of two objects, depth first."""
+    """The differences between two objects, depth first."""
     for name in {**theirs, **ours}:
         value, preset = ours.get(name), theirs.get(name)
         if isinstance(value, dict) and isinstance(preset, dict):

@@ -139,7 +139,7 @@ def preset_for(name: str, encoder: Encoder) -> Preset:
     InvalidParameters
         There is no such preset.
     """
-    preset = carried(name, encoder)
+    preset = adapted(name, encoder)
     if vocabularies.shipped(encoder.name, name) is not None:
         return preset
     words = preset.parameters.channels[SEMANTIC]
@@ -149,8 +149,8 @@ def preset_for(name: str, encoder: Encoder) -> Preset:
     )
 
 
-def carried(name: str, encoder: Encoder) -> Preset:
-    """A preset reduced to the layers and labels of an encoder; raises InvalidParameters for an unknown name.
+def adapted(name: str, encoder: Encoder) -> Preset:
+    """A preset adapted to the layers and labels of an encoder; raises InvalidParameters for an unknown name.
 
     An encoder without the layer ``detail`` searches and ranks by the semantic channel alone. One that does not know all
     of the preset's labels gets the paper's.

@@ -235,13 +235,13 @@ class Scheduler:
                 return request
 
     def _let_go(self) -> None:
-        """Put enrolments that were held back into the queue again, in their old places."""
+        """Put enrolments that were held back into the queue again, at their old places."""
         held, self._held = self._held, []
         for request in held:
             self._queue.put(request)
 
     def _put_off(self, left: list[_Request], error: EncoderAway) -> None:
-        """The encoder is away, or its segmenter alone: tell those who wait for an answer, and hold the others back."""
+        """Fail requests whose callers wait, since the encoder or its segmenter is away, and hold the others back."""
         segmenter_alone = not self._encodes(left[0])
         if segmenter_alone:
             if not self._segmenter_away:
@@ -305,7 +305,7 @@ class Scheduler:
             return
         except Exception as error:
             left = batch[timed:]
-            if len(left) > 1:  # one image must not fail the others
+            if len(left) > 1:  # one by one: an image must not fail the others
                 for request in left:
                     self._serve([request])
                 return
@@ -338,5 +338,5 @@ def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_
 
 
 def field_alone(image: Image, field: PixelField) -> PixelField:
-    """What finishes a request for a pixel field: nothing more."""
+    """The `finish` function of a request for the pixel field itself."""
     return field

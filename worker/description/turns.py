@@ -9,8 +9,8 @@ QUERY, ENROLMENT, CLOSE = 0, 1, 2
 """Urgencies, the most urgent first."""
 
 IN_A_ROW = 8
-"""Queries that may go before an enrolment that waits. A query then waits for one image more in nine, and whoever enrols
-while others ask without pause gets a ninth of the encoder."""
+"""Queries that may go before an enrolment that waits. So one query in nine waits for one image more, and enrolments get
+a ninth of the encoder while others query without a pause."""
 
 
 @dataclass(order=True)

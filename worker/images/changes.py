@@ -42,12 +42,12 @@ class Side:
     marks: Sequence[Mark] = ()
 
 
-def changes_png(then: Side, now: Side, told: str) -> bytes:
-    """Both photos side by side as PNG, `WIDTH` pixels wide; `told` is written below them."""
+def changes_png(then: Side, now: Side, summary: str) -> bytes:
+    """Both photos side by side as PNG, `WIDTH` pixels wide; `summary` is written below them."""
     room = (WIDTH - 2 * MARGIN - GAP) // 2
     panels = [_panel(side, room) for side in (then, now)]
     above, highest = 44, max(panel.shape[0] for panel in panels)
-    lines = text.wrapped(told, 16, WIDTH - 2 * MARGIN, 3)
+    lines = text.wrapped(summary, 16, WIDTH - 2 * MARGIN, 3)
     sheet = np.full((above + highest + 44 + 22 * len(lines) + 12, WIDTH, 3), PAPER, np.uint8)
     for number, (side, panel) in enumerate(zip((then, now), panels, strict=True)):
         left = MARGIN + number * (room + GAP)

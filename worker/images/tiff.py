@@ -76,7 +76,7 @@ class _Page:
         (following,) = struct.unpack_from(order + "I", data, at + 2 + 12 * count)
         fields: dict[int, tuple[int, int, bytes]] = {}
         last = at + 6 + 12 * count
-        told = [(0, 8), (at, 6 + 12 * count)]  # begin and size of what is referred to
+        stated = [(0, 8), (at, 6 + 12 * count)]  # begin and size of what is referred to
         left = len(data)  # bytes that fields and strips may still have; lying over one another they could have any
         lost = following != 0
         for number in range(count):
@@ -87,7 +87,7 @@ class _Page:
             begin, size = at + 10 + 12 * number, _SIZES[kind] * length
             if size > 4:
                 (begin,) = struct.unpack_from(order + "I", data, begin)
-                told.append((begin, size))
+                stated.append((begin, size))
             last, left = max(last, begin + size), left - size
             if left < 0:
                 raise ValueError(_OVER)
@@ -102,7 +102,7 @@ class _Page:
         pieces = list(zip(_numbers(order, fields[offsets]), _numbers(order, fields[lengths]), strict=True))
         if sum(size for _, size in pieces) > left:
             raise ValueError(_OVER)
-        return cls(order, fields, tags, pieces, last, lost or _hides(data, [*told, *pieces]))
+        return cls(order, fields, tags, pieces, last, lost or _hides(data, [*stated, *pieces]))
 
 
 def _written(order: str, fields: dict[int, tuple[int, int, bytes]], pixels: tuple[int, list[bytes]]) -> bytes:
@@ -142,10 +142,10 @@ def _slice(data: bytes, begin: int, size: int) -> bytes:
     return data[begin : begin + size]
 
 
-def _hides(data: bytes, told: list[tuple[int, int]]) -> bool:
+def _hides(data: bytes, stated: list[tuple[int, int]]) -> bool:
     """Whether anything stands between what a file refers to: programs that change a field leave the old ones there."""
     end = 0
-    for begin, size in sorted(told):
+    for begin, size in sorted(stated):
         if data[end:begin].strip(b"\x00"):
             return True
         end = max(end, begin + size)

@@ -25,7 +25,7 @@ def recording_of(bag: Bag) -> Recording:
     for number, time in enumerate(bag.times_s):
         file = f"{bag.topic} {time:.3f}"
         position = position_at(poses, time, geographic=bag.geographic)
-        if position is None and bag.walked is not None:
+        if position is None and bag.pose_topic is not None:
             detail = f"no pose lies within {BESIDE_S:g} s of it; it has no position"
             recording.notes.append(Note(file, "no-row", detail))
         attributes = ViewAttributes(position=position or Position(), captured_at=_moment(time))

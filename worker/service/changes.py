@@ -249,7 +249,7 @@ class ChangeService:
         submit = partial(self._scheduler.submit, image, field_alone, urgent=True)
         field = submit().result().value
         segmented = submit(segment=True).result().value if self._scheduler.segments else field
-        return self._describers.of(recipe).look(field, segmented)
+        return self._describers.of(recipe).photo_cells(field, segmented)
 
 
 def summary(found: Changes, names: Sequence[str]) -> str:

@@ -41,7 +41,7 @@ class Bag(ImageStream):
     topic : str
     times_s : list of float
         When the images were taken, Unix time, in the order of the file.
-    walked : str or None
+    pose_topic : str or None
         Topic of the poses.
     poses : list of PoseRow
     geographic : bool
@@ -83,20 +83,22 @@ class Bag(ImageStream):
                 f"it holds no images of ROS 2 (sensor_msgs/msg/CompressedImage, Image){broken}; topics: {there}"
             )
         self.topic = _chosen("image_topic", image_topic, list(images))
-        unread: dict[str, int] = known.get("unread", {}).get(self.topic, {})  # a listing of before has none
+        unread: dict[str, int] = known.get("unread", {}).get(self.topic, {})  # listings of earlier versions have none
         self.unread = ", ".join(f"{count:,} {encoding}" for encoding, count in unread.items())
         if sum(unread.values()) == len(images[self.topic]):
             raise _refused(f"no image of {self.topic} has an encoding that is read, {READ}; it has {self.unread}")
         super().__init__(child, path, self.topic, limits.max_bytes, limits.max_pixels)
         self.times_s: list[float] = images[self.topic]
         self.broken: str | None = known["broken"]
-        self.walked = _walked(poses, types) if pose_topic is None else _chosen("pose_topic", pose_topic, list(poses))
-        self.poses: list[PoseRow] = [] if self.walked is None else poses[self.walked]
-        self.geographic = self.walked is not None and types[self.walked] == "sensor_msgs/msg/NavSatFix"
+        self.pose_topic = (
+            _pose_topic(poses, types) if pose_topic is None else _chosen("pose_topic", pose_topic, list(poses))
+        )
+        self.poses: list[PoseRow] = [] if self.pose_topic is None else poses[self.pose_topic]
+        self.geographic = self.pose_topic is not None and types[self.pose_topic] == "sensor_msgs/msg/NavSatFix"
 
 
-def _walked(poses: Mapping[str, Sequence[PoseRow]], types: Mapping[str, str]) -> str | None:
-    """The topic that says where the robot was; None where none does. Raises BadBody where several will do."""
+def _pose_topic(poses: Mapping[str, Sequence[PoseRow]], types: Mapping[str, str]) -> str | None:
+    """The topic with the poses of the robot; None where there is none. Raises BadBody where several will do."""
     of_robot = [topic for topic in poses if topic.rpartition("/")[2] not in AIMS]
     topics = [topic for topic in of_robot if poses[topic]] or of_robot
     best = min((POSES.index(types[topic]) for topic in topics), default=0)
@@ -105,6 +107,7 @@ def _walked(poses: Mapping[str, Sequence[PoseRow]], types: Mapping[str, str]) ->
 
 
 def _chosen(parameter: str, wanted: str | None, topics: list[str]) -> str:
+    """The wanted one of some topics, or the only one; raises BadBody, which names the parameter and the topics."""
     if wanted is None and len(topics) == 1:
         return topics[0]
     if wanted in topics:

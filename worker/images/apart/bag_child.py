@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.values import FARTHEST_M, whole_turn
-from worker.images.apart.restraints import answering, restrict
+from worker.images.apart.restraints import restrict, take_stdout
 from worker.images.apart.stream import HEADER
 
 IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> None:
     """Answer on standard output."""
     what, path, topic = arguments[:3]
     max_bytes, max_pixels = map(int, arguments[3:5])
-    answers = answering()
+    answers = take_stdout()
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     import cv2
     import lz4.frame  # noqa: F401 - before opening files is restricted

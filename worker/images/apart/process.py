@@ -69,10 +69,10 @@ class DecoderProcess:
             numbers.append(shared_memory(self._limits.max_bytes))
             numbers.append(shared_memory(max(3 * self._limits.max_pixels, THUMBNAIL_ROOM)))
             self._source, self._target = map(mapped, numbers)
-            told = (theirs.fileno(), *numbers, self._limits.max_bytes, self._limits.max_pixels, self._deadline_s)
+            arguments = (theirs.fileno(), *numbers, self._limits.max_bytes, self._limits.max_pixels, self._deadline_s)
             passed = theirs.fileno(), *numbers
             self._process = self._launching.submit(
-                launched, "worker.images.apart.child", told, stdout=subprocess.DEVNULL, passed=passed
+                launched, "worker.images.apart.child", arguments, stdout=subprocess.DEVNULL, passed=passed
             ).result()
         except OSError as error:
             ours.close()

@@ -1,4 +1,4 @@
-"""What processes that decode give up."""
+"""Limits that processes which decode set for themselves."""
 
 import os
 import resource
@@ -25,8 +25,8 @@ def restrict(max_pixels: int) -> None:
             resource.setrlimit(limit, (value, value))
 
 
-def answering() -> BinaryIO:
-    """Standard output, which no library that prints writes to any more."""
+def take_stdout() -> BinaryIO:
+    """Standard output for answers alone: what libraries print goes to standard error from now on."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return answers

@@ -82,11 +82,11 @@ class ImageStream:
         return answer
 
     def wants(self, numbers: Iterable[int]) -> None:
-        """Say before the first `read` that no other images will be read: these are dropped as they come."""
+        """Say, before the first `read`, which images will be read; others are dropped as they come."""
         self._wanted = frozenset(numbers)
 
     def read(self, number: int) -> bytes:
-        """An image, the same bytes each time. Each is to be read soon after the one before.
+        """An image, the same bytes each time. Images have to be read in about their order: only a few are kept.
 
         Raises
         ------
@@ -140,7 +140,7 @@ class ImageStream:
 
 
 def _seal(wanted: bytes, answer: bytes) -> bytes:
-    """A digest of what was asked and what was answered."""
+    """Digest of a request and its answer."""
     return hashlib.sha256(wanted + b"\n" + answer).hexdigest().encode()
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from worker.images.apart.edit_list import shown_s
-from worker.images.apart.restraints import answering, restrict
+from worker.images.apart.restraints import restrict, take_stdout
 from worker.images.apart.stream import HEADER
 
 QUALITY = 95
@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> None:
     """Answer on standard output."""
     what, path = arguments[:2]
     every_s, max_pixels, seconds = float(arguments[2]), int(arguments[3]), float(arguments[4])
-    answers = answering()
+    answers = take_stdout()
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = f"protocol_whitelist;file|format_whitelist;{CONTAINERS}"
     import cv2
 
