@@ -9,7 +9,7 @@ from typing import TypeVar
 import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, StorageFailed
-from worker.storage import dialect, sealing
+from worker.storage import dialect, error_codes, sealing
 from worker.storage.disk_errors import DAMAGED, FULL, problem_of, translated
 from worker.storage.retrying import Commits, run_with_retries
 from worker.storage.space import Space
@@ -115,9 +115,9 @@ class Database:
             # SQLite says of a used-up quota, and of a disk that is full when it is synced, only that there is an error.
             if isinstance(problem, StorageFailed) and self.space is not None and self.space.refused():
                 problem = DiskFull(FULL.format("database"))
-            if isinstance(error, sa.exc.DBAPIError) and dialect.is_read_only(error):
+            if isinstance(error, sa.exc.DBAPIError) and error_codes.is_read_only(error):
                 self.engine.dispose()  # another connection may find the server that takes writes, or that this one does
-            if patience_s is None or not dialect.is_busy(error):  # others that write for a moment are no trouble
+            if patience_s is None or not error_codes.is_busy(error):  # others that write for a moment are no trouble
                 self.trouble = problem.detail
             raise problem from error
 

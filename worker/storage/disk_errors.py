@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
-from worker.storage import dialect
+from worker.storage import error_codes
 from worker.storage.retrying import RolledBack
 
 _READ_ONLY, _IO_ERROR, _CANNOT_OPEN, _NO_PERMISSION = 8, 10, 14, 3
@@ -50,21 +50,21 @@ def problem_of(error: BaseException, what: str, *, sent: bool = True) -> Revisit
     sent : bool
         Whether the server may have been told to commit; else it is RolledBack where it is StorageFailed by the server.
     """
-    if dialect.is_full(error):
+    if error_codes.is_full(error):
         server = getattr(getattr(error, "orig", None), "sqlstate", None) is not None
         return DiskFull(SERVER_FULL if server else FULL.format(what))
     if isinstance(error, sa.exc.DBAPIError):
-        if dialect.is_damaged(error):
+        if error_codes.is_damaged(error):
             return Damaged(DAMAGED.format(error.orig))
-        if dialect.lacks_characters(error):
+        if error_codes.lacks_characters(error):
             return SetupError(ENCODING.format(""))
-        if dialect.is_busy(error):
+        if error_codes.is_busy(error):
             return StorageFailed(BUSY)
-        trouble = dialect.server_trouble(error)
+        trouble = error_codes.server_trouble(error)
         if trouble is not None:
-            kept_nothing = dialect.kept_nothing(error, sent=sent)
+            kept_nothing = error_codes.kept_nothing(error, sent=sent)
             return (RolledBack if kept_nothing else StorageFailed)(AWAY.format(trouble))
-        refusal = dialect.server_refusal(error)
+        refusal = error_codes.server_refusal(error)
         if refusal is not None:
             return StorageFailed(REFUSES.format(refusal))
         code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF

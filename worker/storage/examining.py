@@ -12,7 +12,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from schemas.errors import RevisitError
-from worker.storage import dialect, migrating, wal
+from worker.storage import dialect, error_codes, migrating, wal
 from worker.storage.examining_images import image_findings
 from worker.storage.examining_objects import last_sign, object_findings
 from worker.storage.examining_rows import row_findings
@@ -139,7 +139,7 @@ def structure_findings(engine: sa.Engine) -> Iterator[Finding]:
             lines = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA integrity_check({MOST_LINES})")]
             broken = list(connection.exec_driver_sql("PRAGMA foreign_key_check")) if lines == ["ok"] else []
     except (sa.exc.SQLAlchemyError, sqlite3.Error, UnicodeError) as error:
-        if dialect.is_unopened(error):
+        if error_codes.is_unopened(error):
             yield Finding("database", f"cannot be opened here ({getattr(error, 'orig', error)})", ELSEWHERE)
             return
         yield Finding(
