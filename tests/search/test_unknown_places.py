@@ -1,4 +1,4 @@
-"""Kept queries by spot: what was found of two of them is not looked for again with each list."""
+"""Kept queries by spot: each spot is told once, and what was found of two queries is not looked for again."""
 
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -61,3 +61,13 @@ def test_a_list_of_unknown_places_compares_only_what_no_list_before_did(looked: 
     looked.clear()
     listed()
     assert 0 < sum(looked) <= SPOTS
+
+
+def test_a_spot_is_one_place_however_often_it_was_queried(looked: list[int]) -> None:
+    """A robot waits at a door that the map lacks, and asks all morning."""
+    queries = [query(SPOTS * number) for number in range(10 * NEAREST)]
+    kept = Mock()
+    kept.newest.return_value = queries, len(queries)
+    [door] = InboxService(maps=Mock(), kept=kept, enroll=Mock()).of("campus").places
+    assert door.queries == tuple(one.id for one in queries)
+    assert sum(looked) < len(queries)

@@ -22,7 +22,8 @@ EXAMINED = 1000
 """Kept queries that are grouped at most, the newest."""
 
 NEAREST = 20
-"""Later queries that a query is compared with at most, by the distance of their histograms."""
+"""Later queries that a query is compared with at a time, by the distance of their histograms: it goes on to the next
+ones while some of these show its spot."""
 
 NEAR = 0.45
 """Histogram distance up to which queries show one spot where their recipe has no local features."""
@@ -118,18 +119,29 @@ def grouped(queries: Sequence[KeptQuery], same_spot: Same) -> list[UnknownPlace]
         by_recipe.setdefault(query.recipe, []).append(query)
     places = []
     for alike_described in by_recipe.values():
-        near = alike(np.stack([query.vectors for query in alike_described]), np.inf, NEAREST)
+        near = alike(np.stack([query.vectors for query in alike_described]), np.inf, len(alike_described))
         taken: set[int] = set()
         for i, query in enumerate(alike_described):
             if i not in taken:
-                later = [j for j in sorted(near[i]) if j not in taken]
-                shown = same_spot(query, [alike_described[j] for j in later])
-                same = [j for j, shows in zip(later, shown, strict=True) if shows]
+                same = _showing_spot(query, alike_described, [j for j in near[i] if j not in taken], same_spot)
                 taken.update(same)
                 members = [query, *(alike_described[j] for j in same)]
                 ids = tuple(member.id for member in members)
                 places.append(UnknownPlace(ids, members[0].queried_at, members[-1].queried_at))
     return places
+
+
+def _showing_spot(query: KeptQuery, among: Sequence[KeptQuery], near: Sequence[int], same_spot: Same) -> list[int]:
+    """Numbers of those that show the spot of a query, ascending; `near`: those that are looked at, nearest first."""
+    same: list[int] = []
+    for start in range(0, len(near), NEAREST):
+        next_ones = near[start : start + NEAREST]
+        shown = same_spot(query, [among[j] for j in next_ones])
+        found = [j for j, shows in zip(next_ones, shown, strict=True) if shows]
+        if not found:
+            break
+        same += found
+    return sorted(same)
 
 
 class _Pairs:
