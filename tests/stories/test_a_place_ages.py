@@ -181,6 +181,19 @@ def test_what_is_enrolled_now_stands_where_no_photo_was_kept(town: Town) -> None
     assert town.ageing() == []
 
 
+def test_a_photo_that_was_refused_refreshes_no_place(town: Town) -> None:
+    town.matched("rose garden", [*FALLEN, 0.58])
+    [before] = town.ageing()
+    given = {"map": town.name, "place": "rose garden", "wait": "false", "refuse_poor": "true"}
+    again = photo(scene("rose garden").seen_from(turn=0.01))  # nearly the same as by day, a year ago
+    assert town.client.post("/enroll", params=given, content=again, headers=JPEG).status_code == 202
+    town.settle()
+    assert town.client.get(town.path).json()["views"]["failed"] == 1
+    town.take("mill lane", Position(x=0.0, y=1.0), 12, NOW)  # the map is another one: trends are found anew
+    town.settle()
+    assert town.ageing() == [before]
+
+
 def test_days_before_a_view_was_enrolled_are_not_compared_with_those_after_it(town: Town) -> None:
     enrolled = NOW - timedelta(days=3 * 13 + 2)
     for number, name in enumerate(PLACES[:2]):

@@ -117,7 +117,7 @@ class AgeingPlaces:
         return None if of is None else replace(place, trend=of)
 
     def _newest(self, name: str, place: _Place, within: float) -> int | None:
-        """Day on which the newest view of a place was enrolled; None where that is not known."""
+        """Day on which the newest described view of a place was enrolled; None where that is not known."""
         where = known_position(place.views[0])
         if place.views[0].known.name is not None:
             filters = Filters(place=place.views[0].known.name)
@@ -125,7 +125,7 @@ class AgeingPlaces:
             return None
         else:
             filters = Filters.around(where, within)
-        views, _ = self._views.list(name, filters, newest_first=True, limit=1)
+        views, _ = self._views.list(name, filters, state="ready", newest_first=True, limit=1)
         return views[0].enrolled_at.astimezone(UTC).toordinal() if views else None
 
 
