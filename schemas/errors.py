@@ -206,6 +206,10 @@ class Cancelled(Conflict):
     failure = "cancelled"
 
 
+class ImageEnrolled(Conflict):
+    """A map has an image already, with other attributes than it is enrolled with now."""
+
+
 class BlurChanged(Conflict):
     """A map blurs other things than were blurred in an image that is about to be stored: it is to be blurred anew."""
 

@@ -6,7 +6,9 @@ from datetime import UTC, datetime
 from unittest.mock import Mock
 
 import numpy as np
+import pytest
 
+from schemas.errors import Conflict
 from schemas.inbox import KeptQuery, Proposals
 from worker.service.proposals import STILL, ProposalService
 
@@ -58,3 +60,16 @@ def test_each_query_of_a_camera_that_stands_still_is_looked_at_as_often_among_ma
 
     calls(2)
     assert (calls(400) - calls(200)) / 200 < 1.2 * (calls(200) - calls(2)) / 198
+
+
+def test_a_proposal_stays_whose_images_cannot_be_enrolled_now() -> None:
+    """As where the running encoder knows nothing that the map blurs: what is refused is no photo that is there."""
+    kept, views, enroll = Mock(), Mock(), Mock()
+    kept.newest.return_value = [query(0), query(1, 2 * STILL)], 2
+    views.at.return_value = {1: Mock(id="view", **{"attributes.place": None})}
+    views.get.return_value = Mock(**{"attributes.place": None, "attributes.position": None})
+    enroll.take.side_effect = Conflict("the encoder finds no window, which the map blurs")
+    service = ProposalService(maps=Mock(), views=views, kept=kept, enroll=enroll)
+    with pytest.raises(Conflict, match="finds no window"):
+        service.accept("campus", "query 0000", 3, unconfirmed=False)
+    kept.delete.assert_not_called()

@@ -70,7 +70,7 @@ class Enrolment(Protocol):
             That job was cancelled, or went with its map.
         ViewDeleted
             The image was deleted while that job waited or ran.
-        Conflict
+        ImageEnrolled
             The same image is in the map with other attributes.
         BlurChanged
             The map blurs other things.

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from schemas.errors import BlurChanged, Conflict, NotFound
+from schemas.errors import Conflict, ImageEnrolled, NotFound
 from schemas.inbox import KeptQuery, Proposal, Proposals
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.service.enroll import Enrolled, EnrollService
@@ -101,9 +101,7 @@ class ProposalService:
             given = ViewAttributes(attributes.place, attributes.position, metadata={ADDED_FROM: query_id})
             try:
                 enrolled.append(self._enroll.take(self._kept.image(name, query_id), name, given))
-            except BlurChanged:
-                raise
-            except Conflict:  # one photo that was queried twice: the map has it since the first
+            except ImageEnrolled:  # one photo that was queried twice: the map has it since the first
                 log.info("the image of query %s is a view of the map %s already", query_id, name)
         return enrolled, self._kept.delete(name, proposal.queries)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
-from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
+from schemas.errors import BlurChanged, Damaged, ImageEnrolled, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
@@ -146,7 +146,7 @@ class Enrolment(Part):
 
         Raises
         ------
-        Conflict
+        ImageEnrolled
             The map has the image with other attributes.
         BlurChanged
             The map blurs other things than those in `covered`.
@@ -258,7 +258,7 @@ class Enrolment(Part):
             view = find_view(connection, view.id)
         differing = contradictions(attributes_of(view), attributes)
         if differing:
-            raise Conflict(
+            raise ImageEnrolled(
                 f"this image is in the map {row.name!r} already, as {view.id}, with another "
                 f"{', '.join(differing)}; PATCH /views/{view.id} changes its attributes"
             )
