@@ -8,6 +8,7 @@ import sqlalchemy as sa
 
 from schemas.comparisons import Comparison, KnownView
 from schemas.map_changes import MapChanges
+from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import Position
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, recipe
 from worker.storage.comparisons import SMALL
@@ -18,6 +19,10 @@ ID = RECIPE.description.id
 
 def compared(seq: int, among: int, level: float = 0.3, same_spot: tuple[int, ...] = ()) -> Comparison:
     return Comparison(seq, level, 0.04, same_spot, among, among - 1, rival=seq, breadth=1.5)
+
+
+def replace_ranking(of: MapRecipe, ranking: RankingConfig) -> MapRecipe:
+    return of.model_copy(update={"ranking": ranking})
 
 
 def described(store: SqlStore, *names: str) -> list[int]:
@@ -259,6 +264,39 @@ def test_another_recipe_or_ranking_begins_anew_and_another_precision_does_not(st
     assert due(store) == set(seqs)
     store.comparisons.keep("campus", changed, [compared(seqs[0], 2)], NOW)  # by the recipe of before
     assert store.comparisons.levels("campus").compared == 0
+
+
+def test_who_goes_back_to_a_recipe_by_another_ranking_finds_no_other_scores_there(store: SqlStore) -> None:
+    seqs = described(store, "gate", "pond")
+    other = recipe("paper")
+    back = replace_ranking(RECIPE, other.ranking)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 2) for seq in seqs], NOW)
+    store.jobs.switch_recipe("campus", replace_ranking(other, RECIPE.ranking), NOW)
+    describe_all(store)
+    store.jobs.switch_recipe("campus", RECIPE, NOW)
+    assert store.comparisons.levels("campus").compared == 2  # by the same ranking they say what they said
+
+    store.jobs.switch_recipe("campus", other, NOW)
+    store.jobs.switch_recipe("campus", back, NOW)
+
+    assert store.maps.get("campus").recipe == back
+    assert (store.comparisons.levels("campus").compared, due(store)) == (0, set(seqs))
+
+
+def test_a_shadow_is_compared_by_its_own_ranking_and_leaves_nothing_of_it(store: SqlStore) -> None:
+    seqs, other = described(store, "gate", "pond"), recipe("paper")
+    store.jobs.switch_recipe("campus", replace_ranking(other, RECIPE.ranking), NOW)
+    describe_all(store)
+    store.comparisons.keep("campus", store.maps.get("campus").recipe, [compared(seq, 2) for seq in seqs], NOW)
+    store.jobs.switch_recipe("campus", RECIPE, NOW)
+
+    store.jobs.begin_shadow("campus", other, 7, NOW)
+    assert store.comparisons.levels("campus", other.description.id).compared == 0
+    store.comparisons.keep("campus", other, [compared(seq, 2) for seq in seqs], NOW)
+    store.jobs.discard_shadow("campus", NOW)
+    store.jobs.switch_recipe("campus", replace_ranking(other, RECIPE.ranking), NOW)
+
+    assert (store.comparisons.levels("campus").compared, due(store)) == (0, set(seqs))
 
 
 def test_a_whole_description_is_read_back_as_it_was_stored(store: SqlStore) -> None:

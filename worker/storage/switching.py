@@ -137,6 +137,8 @@ def begin(
         if ranking != row.ranking:
             set_ranking(connection, row, ranking)
     else:
+        if not _score_alike(ranking, row.ranking):  # made when the map had this recipe, or a shadow of it
+            _drop_comparisons(connection, row.id, COMPARISONS.c.recipe == recipe)
         following = {"next_recipe": recipe, "next_ranking": ranking, "shadow": job if shadow else None}
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**following))
     finish_if_done(connection, row.id, now)
@@ -168,10 +170,24 @@ def set_ranking(connection: sa.Connection, row: sa.Row[Any], ranking: str) -> No
     What was learned from scores, its comparisons and its own calibration, is dropped when these change.
     """
     connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(ranking=ranking))
-    if _scoring(ranking_of(ranking)) != _scoring(ranking_of(row.ranking)):
+    if not _score_alike(ranking, row.ranking):
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(calibration=None))
-        connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.map_id == row.id))
+        _drop_comparisons(connection, row.id)
     clock.tick(connection, row.id)
+
+
+def _drop_comparisons(connection: sa.Connection, map_id: int, *which: sa.ColumnElement[bool]) -> None:
+    """Drop comparisons of a map's views, all of them or some.
+
+    Those that are kept were made by the ranking that the map has, those by the recipe of its shadow by the ranking of
+    that: whoever goes back to a recipe finds no other scores there.
+    """
+    connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.map_id == map_id, *which))
+
+
+def _score_alike(one: str, other: str) -> bool:
+    """Whether two rankings, as JSON, give the same scores."""
+    return _scoring(ranking_of(one)) == _scoring(ranking_of(other))
 
 
 def scores_alike(one: MapRecipe, other: MapRecipe) -> bool:
@@ -219,12 +235,14 @@ def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int
 def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: str, now: datetime) -> int:
     """Set a map's recipe and ranking, after its views were described; returns the new revision."""
     revision = clock.tick(connection, map_id)
-    present, shadow = connection.execute(sa.select(MAPS.c.recipe, MAPS.c.shadow).where(MAPS.c.id == map_id)).one()
-    if shadow is not None:  # of an empty map that was given another recipe at once
+    row = connection.execute(sa.select(MAPS).where(MAPS.c.id == map_id)).one()
+    if row.shadow is not None:  # of an empty map that was given another recipe at once
         end_shadow(connection, map_id, now)
-        drop_rows(connection, shadow)
+        drop_rows(connection, row.shadow)
+    if not _score_alike(ranking, row.ranking):
+        _drop_comparisons(connection, map_id, COMPARISONS.c.recipe != recipe)
     after = {"recipe": recipe, "ranking": ranking, "anew": revision, **NOTHING_NEXT}
-    learned = {"calibration": None, "previous_recipe": present}  # what was learned by the old recipe is dropped
+    learned = {"calibration": None, "previous_recipe": row.recipe}  # what was learned by the old recipe is dropped
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**learned, **after))
     settle(connection, map_id, recipe)
     end_jobs(connection, map_id, recipe, now)
@@ -261,6 +279,9 @@ def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> 
         .where(JOBS.c.state.in_(UNFINISHED))
         .values(state="cancelled", finished_at=now, token=None)
     )
+    row = connection.execute(sa.select(MAPS).where(MAPS.c.id == map_id)).one()
+    if row.next_ranking is not None and not _score_alike(row.next_ranking, row.ranking):
+        _drop_comparisons(connection, map_id, COMPARISONS.c.recipe == recipe)
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**NOTHING_NEXT))
 
 
