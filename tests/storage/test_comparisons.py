@@ -95,6 +95,24 @@ def test_a_small_map_is_compared_again_when_a_view_gets_another_place_or_makes_r
     assert due(store) == set()
 
 
+@pytest.mark.parametrize("by_another_recipe", [False, True])
+def test_a_small_map_is_compared_again_when_a_view_comes_before_another_one_goes(
+    store: SqlStore, by_another_recipe: bool
+) -> None:
+    """There are as many views as when the others were compared, but they are not the same."""
+    seqs = described(store, "gate", "pond", "hall")
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 3) for seq in seqs], NOW)
+    if by_another_recipe:
+        store.jobs.switch_recipe("campus", replace_ranking(recipe("paper"), RECIPE.ranking), NOW)
+        describe_all(store)
+    [later] = described(store, "stairs")
+    store.removals.delete_view(store.views.at(seqs)[seqs[0]].id)
+    if by_another_recipe:
+        store.jobs.switch_recipe("campus", RECIPE, NOW)
+        describe_all(store)
+    assert due(store) == {*seqs[1:], later}
+
+
 def test_a_larger_map_compares_again_what_took_a_view_for_another_place_that_moved_or_went(store: SqlStore) -> None:
     seqs = described(store, *(f"view {i}" for i in range(SMALL + 3)))
     moved, went = seqs[0], seqs[1]

@@ -42,15 +42,22 @@ def outdate(connection: sa.Connection, map_id: int, seqs: Sequence[int]) -> None
     """Mark views of a map to be compared again, because the views `seqs` are about to be deleted or moved to another
     place.
 
-    In a small map these are all views, else those whose strongest rival is one of `seqs`. What was measured of them
-    counts until they are compared again.
+    In a small map these are all that were compared with one of `seqs`, else those whose strongest rival is one of
+    these. What was measured of them counts until they are compared again.
     """
-    by_own = (DESCRIPTIONS.c.map_id == MAPS.c.id) & (DESCRIPTIONS.c.recipe == MAPS.c.recipe)
-    some = sa.select(DESCRIPTIONS.c.seq).join(MAPS, by_own).where(MAPS.c.id == map_id).limit(SMALL + 1).subquery()
+    recipe = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == map_id))
+    own = DESCRIPTIONS.c.map_id == map_id, DESCRIPTIONS.c.recipe == recipe
+    some = sa.select(DESCRIPTIONS.c.seq).where(*own).limit(SMALL + 1).subquery()
     count = connection.scalar(sa.select(sa.func.count()).select_from(some)) or 0
     mine = sa.update(COMPARISONS).where(COMPARISONS.c.map_id == map_id)
     for portion in batches(seqs):
-        affected = COMPARISONS.c.among == count if count <= SMALL else COMPARISONS.c.rival.in_(portion)
+        affected: sa.ColumnElement[bool]
+        if count > SMALL:
+            affected = COMPARISONS.c.rival.in_(portion)
+        else:  # a view is compared with those described before: `among` says up to which one
+            first = sa.select(sa.func.min(DESCRIPTIONS.c.revision)).where(*own, DESCRIPTIONS.c.seq.in_(portion))
+            before = sa.select(sa.func.count()).where(*own, DESCRIPTIONS.c.revision < first.scalar_subquery())
+            affected = (COMPARISONS.c.among > (connection.scalar(before) or 0)) | (COMPARISONS.c.recipe != recipe)
         connection.execute(mine.where(affected).values(among=0))
 
 
