@@ -11,6 +11,8 @@ import pytest
 import sqlalchemy as sa
 
 from app.http.application import create_app
+from schemas.errors import NothingStatic
+from schemas.inbox import QueryToKeep
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
 from tests.stories.full_queues import full_at_the_second_image
@@ -129,6 +131,27 @@ def test_a_map_that_is_deleted_while_its_place_is_named_stays_deleted(
     answer = town.client.post(f"/maps/town/unknown/{dock['id']}", json={"place": "dock"})
     assert (answer.status_code, answer.json()["type"]) == (404, "urn:revisit:problem:not-found")
     assert town.client.get("/maps").json() == {"maps": []}
+
+
+def test_a_map_keeps_a_query_of_several_that_another_one_cannot_keep(
+    town: Town, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    town.keep(10)
+    params = {"map": "park", "place": "pond"}
+    assert town.client.post("/enroll", params=params, content=photo("pond"), headers=JPEG).status_code == 201
+    assert town.client.patch("/maps/park", json={"keep_queries": 10}).status_code == 200
+    keep = KeptQueries.keep
+
+    def refused_in_town(self: KeptQueries, name: str, query: QueryToKeep) -> None:
+        if name == "town":
+            raise NothingStatic("all of it would be blurred")
+        keep(self, name, query)
+
+    monkeypatch.setattr(KeptQueries, "keep", refused_in_town)
+    answer = town.client.post("/query", params={"maps": "town,park"}, content=photo("dock"), headers=JPEG)
+    assert answer.json()["status"] == "no_match"
+    assert town.unknown()["kept"] == 0
+    assert town.client.get("/maps/park/unknown").json()["kept"] == 1
 
 
 def test_a_name_that_was_refused_half_way_is_taken_when_it_is_sent_again(

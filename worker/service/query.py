@@ -273,15 +273,16 @@ class QueryService:
         match: tuple[int, float] | None,
     ) -> None:
         """Keep a query in maps, in each as it is described for it; `match` as `QueryToKeep` has it."""
-        try:
-            small = self._thumbnail(data, KEPT_SIZE) if maps else b""
-            for number, (name, of) in enumerate(maps):
-                kept_id = str(uuid7()) if number else query_id
-                recipe = of.results.recipe.description
+        small = b""
+        for number, (name, of) in enumerate(maps):
+            kept_id = str(uuid7()) if number else query_id
+            recipe = of.results.recipe.description
+            try:
+                small = small or self._thumbnail(data, KEPT_SIZE)
                 query = QueryToKeep(kept_id, recipe, of.description, small, datetime.now(UTC), match)
                 self._kept.keep(name, query)
-        except RevisitError as error:
-            log.error("the query %s is not kept: %s", query_id, error.detail)
+            except RevisitError as error:
+                log.error("the query %s is not kept in the map %s: %s", query_id, name, error.detail)
 
     def _explain(self, result: QueryResult) -> tuple[Region, ...]:
         """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""
