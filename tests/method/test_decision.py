@@ -21,6 +21,7 @@ from worker.method.decision import (
     floor,
     of_nothing,
     own_share,
+    shared,
     tells_apart,
 )
 from worker.method.evidence import Ranking
@@ -167,6 +168,21 @@ def test_floors_that_the_map_takes_for_one_stand_out_together() -> None:
     assert (together.status, together.reason.code) == ("ambiguous", "look-alike")
     assert together.confidence < 0.5
     assert decided([0.6, 0.6, 0.55], known).status == "no_match"
+
+    # Whoever stands at one of them is not lost: each is as probable as the other, and hardly anything is left for none.
+    one, other = (place.probability for place in together.places[:2])
+    assert one == pytest.approx(other)
+    assert together.nowhere < 0.1
+
+
+@pytest.mark.parametrize(("first", "each"), [(0.1, [0.3, 0.3, 0.3]), (0.5, [0.5, 0.2, 0.2]), (0.9, [0.9, 0.0, 0.0])])
+def test_look_alikes_have_what_the_best_one_leaves(first: float, each: list[float]) -> None:
+    left, found = 1.0, []
+    for share in shared(first, 0.9, 3):
+        found.append(left * share)
+        left *= 1 - share
+    assert found == pytest.approx(each)
+    assert shared(0.2, 1.0, 2) == pytest.approx([0.5, 1.0])
 
 
 def test_of_two_leads_as_large_the_broader_one_is_surer() -> None:

@@ -20,6 +20,7 @@ less the more keypoints of another place agree with the query too. The shipped c
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from math import hypot
 
 import numpy as np
@@ -264,8 +265,10 @@ def decide(
     -----
     The probability of a place depends on its best view, the best view of any other place, and the map: more views of
     the place can only raise it. That of the second place is the probability that the first is wrong times what the
-    curve says of the second, and so on, so that all of them and "none" sum to 1. Places of which no view is among the
-    first `GROUPED` have 0: else that of none, and of the places of other searches, would depend on `shown`.
+    curve says of the second, and so on, so that all of them and "none" sum to 1. Places that the map takes for each
+    other, and of which the query shows one for sure, have the probability of that among them (`shared`). Places of
+    which no view is among the first `GROUPED` have 0: else that of none, and of the places of other searches, would
+    depend on `shown`.
     """
     usual, threshold = expected_levels(levels), calibration.threshold(precision)
     if not len(ranking.seqs):
@@ -285,23 +288,53 @@ def decide(
 
     first = first_features(ranking, ranking.rivals, usual, lowest, own_weight)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
-    places = _in_turn(groups, calibration.probabilities(read))
+    probabilities = calibration.probabilities(read)
+    outrivalled = rival is not None and is_sure(first_features(ranking, (), usual, least, undisputed))
+    stand_out_together = False
+    if rival is not None and outrivalled and ranking.places.alike(seqs[0], seqs[rival]):
+        # Places that the map itself takes for each other: the query may show one of them, without telling which.
+        of_any = first_features(ranking, views_unlike(ranking), usual, least, own_weight)
+        [together] = calibration.probabilities([of_any])
+        stand_out_together = probabilities[0] < threshold <= together
+        tied = len([*takewhile(lambda group: ranking.places.alike(seqs[0], seqs[group[0]]), decided)])
+        if stand_out_together and tied > 1:
+            probabilities[:tied] = shared(probabilities[0], together, tied)
+    places = _in_turn(groups, probabilities)
     confidence = places[0].probability
     status = calibration.verdict(confidence, precision)
     if status == "ambiguous" and len(decided) == 1 and rival is None:  # there is nothing that it could be instead
         status = "no_match"
-    outrivalled = rival is not None and is_sure(first_features(ranking, (), usual, least, undisputed))
-    alike = rival is not None and ranking.places.alike(seqs[0], seqs[rival])
-    if status == "no_match" and outrivalled and alike:
-        # Places that the map itself takes for each other stand out together: it may be one of them.
-        together = first_features(ranking, views_unlike(ranking), usual, least, own_weight)
-        status = "ambiguous" if is_sure(together) else "no_match"
+    if status == "no_match" and stand_out_together:
+        status = "ambiguous"
     of_views = replace(ranking, impostors=None)
     of_no_place = is_sure(first_features(of_views, ranking.rivals, usual, lowest, own_weight))
     reason = reason_for(status, outrivalled=outrivalled, of_no_place=of_no_place, searched=searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
     return Decision(status, confidence, reason, precision, threshold, usual, places, confidences(places), first)
+
+
+def shared(first: float, together: float, count: int) -> list[float]:
+    """Probabilities of some places that look alike, each on condition that those before it are wrong.
+
+    Parameters
+    ----------
+    first : float
+        Probability of the best one, among all others.
+    together : float
+        Probability that it is any of them.
+    count : int
+        Number of the places, at least 2.
+
+    Returns
+    -------
+    list of float
+        They come to `together`: the best one keeps its own probability, if that is more than its share, and the others
+        have equal parts of the rest.
+    """
+    best = max(first, together / count)
+    other = max(together - best, 0.0) / (count - 1)
+    return [best, *(other / (1 - best - before * other) for before in range(count - 1))]
 
 
 def _in_turn(groups: Sequence[Sequence[int]], probabilities: Sequence[float]) -> tuple[PlaceProbability, ...]:
