@@ -293,7 +293,7 @@ class Enrolment(Part):
             wanted = {"background": options.background, "refuse_poor": options.refuse_poor}
             [job] = switching.queue(connection, row.id, [seq], row.recipe, options.now, **wanted)
         following = row.next_recipe
-        if following is not None and not switching.settled(connection, seq, following):
+        if following is not None and not switching.needs_no_job(connection, seq, following):
             switching.queue(connection, row.id, [seq], following, options.now, background=True)
         return job
 

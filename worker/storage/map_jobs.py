@@ -372,4 +372,4 @@ def _progress(connection: sa.Connection, row: sa.Row[Any]) -> JobProgress | None
         return None
     if row.recipe is None or row.state != "running" or row.token is not None:  # a shadow that is compared has a token
         return None if row.progress_total is None else JobProgress(row.progress_done, row.progress_total)
-    return JobProgress(*switching.described(connection, row.map_id, row.recipe, row.number))
+    return JobProgress(*switching.count_jobs(connection, row.map_id, row.recipe, row.number))

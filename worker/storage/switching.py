@@ -133,7 +133,7 @@ def begin(
     refuse_without_images(connection, row, seqs)
     queue(connection, row.id, seqs, recipe, now, background=True)
     if recipe == row.recipe:  # the recipe stays: only failed views are described again
-        settle(connection, row.id, recipe)
+        set_states(connection, row.id, recipe)
         if ranking != row.ranking:
             set_ranking(connection, row, ranking)
     else:
@@ -244,7 +244,7 @@ def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: st
     after = {"recipe": recipe, "ranking": ranking, "anew": revision, **NOTHING_NEXT}
     learned = {"calibration": None, "previous_recipe": row.recipe}  # what was learned by the old recipe is dropped
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**learned, **after))
-    settle(connection, map_id, recipe)
+    set_states(connection, map_id, recipe)
     end_jobs(connection, map_id, recipe, now)
     return revision
 
@@ -253,7 +253,7 @@ def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime)
     """End the jobs of a map that switch it to a recipe."""
     own = JOBS.c.map_id == map_id, JOBS.c.kind != "describe", JOBS.c.recipe == recipe, JOBS.c.state == "running"
     for number in list(connection.scalars(sa.select(JOBS.c.number).where(*own))):
-        done, total = described(connection, map_id, recipe, number)
+        done, total = count_jobs(connection, map_id, recipe, number)
         connection.execute(
             sa.update(JOBS)
             .where(JOBS.c.number == number)
@@ -262,8 +262,8 @@ def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime)
         )
 
 
-def described(connection: sa.Connection, map_id: int, recipe: str, since: int) -> tuple[int, int]:
-    """(Settled, all) describe jobs of a map by a recipe that were queued after the job with number `since`."""
+def count_jobs(connection: sa.Connection, map_id: int, recipe: str, since: int) -> tuple[int, int]:
+    """How many describe jobs of a map by a recipe were queued after job number `since`: those that ended, and all."""
     queued = sa.select(sa.func.count(sa.case((JOBS.c.state.not_in(UNFINISHED), 1))), sa.func.count()).where(
         JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == recipe, JOBS.c.number > since
     )
@@ -296,7 +296,7 @@ def stop_trying_again(connection: sa.Connection, job: sa.Row[Any], now: datetime
     reason = {"failure_code": failure.code, "failure_detail": failure.detail}
     own = sa.update(JOBS).where(*queued, *mine, JOBS.c.state.in_(UNFINISHED))
     connection.execute(own.values(**ended, **reason))
-    settle(connection, job.map_id, job.recipe)
+    set_states(connection, job.map_id, job.recipe)
 
 
 def end_shadow(connection: sa.Connection, map_id: int, now: datetime) -> None:
@@ -327,7 +327,7 @@ def views_of_row(row: Mapping[str, Any]) -> set[str]:
     return {view for view in (own, row["old"]["view"], row["new"]["view"]) if view is not None}
 
 
-def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
+def set_states(connection: sa.Connection, map_id: int, recipe: str) -> None:
     """Set the state of each view of a map by a recipe: ready, pending, or failed with the reason of its last job.
 
     One that was refused as poor stays so until its image is sent again.
@@ -360,7 +360,7 @@ def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
     )
 
 
-def settled(connection: sa.Connection, seq: int, recipe: str) -> bool:
+def needs_no_job(connection: sa.Connection, seq: int, recipe: str) -> bool:
     """Whether a view has a description by a recipe, or an unfinished job for one."""
     described = sa.select(DESCRIPTIONS.c.seq).where(DESCRIPTIONS.c.seq == seq, DESCRIPTIONS.c.recipe == recipe)
     return connection.execute(described).first() is not None or unfinished_job(connection, seq, recipe) is not None
