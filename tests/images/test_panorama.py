@@ -8,7 +8,7 @@ import pytest
 from schemas.records import ViewAttributes
 from tests.sample_images import drawn, encoded
 from worker.images.codec import Limits, decode
-from worker.images.panorama import DIRECTIONS, seen, turns, views
+from worker.images.panorama import DIRECTIONS, perspective, turns, views
 from worker.service.panoramas import Panoramas
 from worker.service.recordings import Item
 
@@ -26,7 +26,7 @@ def directions() -> np.ndarray:
 
 @pytest.mark.parametrize("turn", turns())
 def test_the_middle_of_a_view_is_its_direction_and_up_is_up(turn: float) -> None:
-    view = seen(directions(), turn + 10)  # beside the jump of red from 255 to 0
+    view = perspective(directions(), turn + 10)  # beside the jump of red from 255 to 0
     height, width = view.shape[:2]
 
     assert (width, height) == (256, 192)
@@ -36,7 +36,7 @@ def test_the_middle_of_a_view_is_its_direction_and_up_is_up(turn: float) -> None
 
 
 def test_a_view_is_ninety_degrees_wide() -> None:
-    view = seen(directions(), 90)
+    view = perspective(directions(), 90)
     row = view[view.shape[0] // 2, :, 0].astype(float) / 256 * 360
 
     assert (row[0], row[-1]) == (pytest.approx(45, abs=2), pytest.approx(135, abs=2))
@@ -47,7 +47,7 @@ def test_where_the_edges_meet_nothing_is_torn() -> None:
     smooth = np.asarray(np.cos(np.linspace(0, 2 * np.pi, COLUMNS, endpoint=False)) * 100 + 128, np.uint8)
     panorama = np.repeat(np.repeat(smooth[None, :, None], ROWS, axis=0), 3, axis=2)
 
-    across = seen(panorama, 180)[96, :, 0].astype(int)
+    across = perspective(panorama, 180)[96, :, 0].astype(int)
 
     assert np.abs(np.diff(across)).max() <= 3
 

@@ -109,18 +109,18 @@ def test_it_holds_until_the_next_one_or_so_long() -> None:
     one, other = level((1, 0, 0), EAST), level((2, 0, 0), EAST)
     for hold_s, later in ((0.0, other), (30.0, None)):
         correction = Correction(hold_s)
-        assert correction.at(5.0) is None
+        assert correction.current(5.0) is None
         correction.take(one, 5.0)
-        assert correction.at(5.0) == one
+        assert correction.current(5.0) == one
         correction.take(other, 6.0)
-        assert correction.at(36.0) == other
-        assert correction.at(36.1) == later
+        assert correction.current(36.0) == other
+        assert correction.current(36.1) == later
         correction.take(one, 40.0)
-        assert correction.at(41.0) == one
+        assert correction.current(41.0) == one
 
 
 def told(correction: Correction, now: float, level: int = OK, state: str = "working") -> Report:
-    return correction.told(Report(level, "as before", {"state": state}), now)
+    return correction.added_to(Report(level, "as before", {"state": state}), now)
 
 
 def test_where_none_is_published_that_is_told() -> None:

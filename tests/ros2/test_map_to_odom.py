@@ -36,7 +36,7 @@ def sent(graph: Graph) -> list[Any]:
 
 
 def noted(node: Any) -> str:
-    report = node._correction.told(node.localizer.report(), node.clock())
+    report = node._correction.added_to(node.localizer.report(), node.clock())
     return str(report.message)
 
 

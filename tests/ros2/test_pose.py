@@ -158,7 +158,7 @@ def test_a_place_is_one_landmark_and_a_view_without_one_is_its_own() -> None:
 def test_a_match_is_the_landmark_that_the_enrolment_was() -> None:
     landmarks = Landmarks(5.0)
     matched = answered(x=1.0, y=2.0)
-    enrolled, seen = landmarks.enrolled(matched.matches[0].view), landmarks.seen(matched)
+    enrolled, seen = landmarks.enrolled(matched.matches[0].view), landmarks.recognised(matched)
     assert enrolled is not None
     assert seen is not None
     assert enrolled.id == seen.id
@@ -168,10 +168,10 @@ def test_a_match_is_the_landmark_that_the_enrolment_was() -> None:
     alone = landmarks.enrolled(View.model_validate(view(place=None)))
     assert alone is not None
     assert alone.variance == pytest.approx(0.15**2 / 2)
-    without = landmarks.seen(answered(radius=None, x=1.0, y=2.0))
+    without = landmarks.recognised(answered(radius=None, x=1.0, y=2.0))
     assert without is not None
     assert without.variance == pytest.approx(12.5)
-    assert landmarks.seen(answered("ambiguous", x=1.0, y=2.0)) is None
+    assert landmarks.recognised(answered("ambiguous", x=1.0, y=2.0)) is None
 
 
 def test_two_names_of_one_number_are_never_one_landmark(monkeypatch: pytest.MonkeyPatch) -> None:

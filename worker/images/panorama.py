@@ -39,11 +39,11 @@ def views(panorama: Bytes2D) -> list[bytes]:
     height, width = panorama.shape[:2]
     if abs(width - 2 * height) > 0.02 * width:
         raise ValueError(f"is {width} x {height} pixels; an equirectangular panorama is twice as wide as high")
-    return [_jpeg(seen(panorama, turn)) for turn in turns()]
+    return [_jpeg(perspective(panorama, turn)) for turn in turns()]
 
 
-def seen(panorama: Bytes2D, turn: float) -> Bytes2D:
-    """What a level camera sees that is turned by so many degrees, uint8 of shape (height, width, 3)."""
+def perspective(panorama: Bytes2D, turn: float) -> Bytes2D:
+    """The view of a level camera turned by `turn` degrees, out of a panorama; uint8 of shape (height, width, 3)."""
     rows, columns = panorama.shape[:2]
     width = min(WIDEST, round(columns * FIELD_OF_VIEW / 360))
     height = round(width / SHAPE)

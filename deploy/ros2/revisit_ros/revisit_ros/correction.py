@@ -52,7 +52,7 @@ def map_to_odom(pose: Pose, base: Transform) -> Transform | NoPose:
 
 @dataclass(frozen=True)
 class Held:
-    """A transform from map to odom, and when the image was recognised that it came from: seconds of a clock."""
+    """A transform from map to odom, and when the image arrived that it came from, in seconds of a clock."""
 
     transform: Transform
     since: float
@@ -64,31 +64,31 @@ class Correction:
     Parameters
     ----------
     hold_s : float
-        Seconds after the image that it came from; 0: until another one.
+        Seconds for which a transform holds after its image arrived; 0: until the next transform.
     """
 
     def __init__(self, hold_s: float) -> None:
         self._hold_s = hold_s
         self._held: Held | None = None
         self.note = ""
-        """Why the last match gave none; told in /diagnostics."""
+        """Why the last match gave no transform, for /diagnostics; empty where it gave one."""
 
     def take(self, transform: Transform, since: float) -> None:
-        """Another one, from an image that arrived at `since`."""
+        """Replace the transform by that of an image which arrived at `since`."""
         self._held, self.note = Held(transform, since), ""
 
-    def at(self, now: float) -> Transform | None:
-        """The one that holds; None before the first, and where the last is too old."""
+    def current(self, now: float) -> Transform | None:
+        """The transform that holds; None before the first, and when the last is too old."""
         held = self._held
         return None if held is None or 0 < self._hold_s < now - held.since else held.transform
 
-    def told(self, report: Report, now: float) -> Report:
-        """What /diagnostics is told, with whether a transform is published; where none is, that is a warning."""
+    def added_to(self, report: Report, now: float) -> Report:
+        """A report for /diagnostics with whether a transform is published, which is a warning where none is."""
         values = {"map_to_odom": "no match yet" if self._held is None else "published"}
         if self._held is not None:
             values["map_to_odom_age"] = f"{now - self._held.since:.1f}"
         missing = self.note
-        if self.at(now) is None:
+        if self.current(now) is None:
             values["map_to_odom"] = values["map_to_odom"].replace("published", "too old")
             missing = missing or f"map to odom is not published: {self._why()}"
         if not missing or report.values["state"] != "working":

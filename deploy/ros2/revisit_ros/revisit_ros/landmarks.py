@@ -45,7 +45,7 @@ def name_of(view: View) -> str:
 
 
 class Landmarks:
-    """Gives out landmarks, and none for a name whose number another has already.
+    """Makes landmarks of names. Of two names with the same number only the first gets one.
 
     Parameters
     ----------
@@ -57,18 +57,19 @@ class Landmarks:
         self._radius_m = radius_m
         self._names: dict[int, str] = {}
 
-    def seen(self, answer: QueryAnswer) -> Landmark | None:
+    def recognised(self, answer: QueryAnswer) -> Landmark | None:
         """The landmark of a matched answer; None where nothing matched."""
         if answer.status != "matched" or not answer.matches:
             return None
         radius = None if answer.estimate is None else answer.estimate.radius_m
-        return self._given(name_of(answer.matches[0].view), radius or self._radius_m)
+        return self._landmark(name_of(answer.matches[0].view), radius or self._radius_m)
 
     def enrolled(self, view: View) -> Landmark | None:
         """The landmark of a view that was enrolled just now."""
-        return self._given(name_of(view), VIEW_RADIUS_M if view.place is None else self._radius_m)
+        return self._landmark(name_of(view), VIEW_RADIUS_M if view.place is None else self._radius_m)
 
-    def _given(self, name: str, radius: float) -> Landmark | None:
+    def _landmark(self, name: str, radius: float) -> Landmark | None:
+        """The landmark of a name, with a radius in metres; None where another name has its number already."""
         number = number_of(name)
         if self._names.setdefault(number, name) != name:
             return None

@@ -93,7 +93,7 @@ class LocalizeNode(RevisitNode):
 
     def _tell(self) -> None:
         report = self.localizer.report()
-        self.tell(self._correction.told(report, self.clock()) if self.values["publish_tf"] else report)
+        self.tell(self._correction.added_to(report, self.clock()) if self.values["publish_tf"] else report)
 
     def _triggered(self, request: Any, response: Any) -> Any:
         self._wish()
@@ -147,7 +147,7 @@ class LocalizeNode(RevisitNode):
         if self._classification is not None and found.answer.places:
             kind, hypothesis = self._kinds
             self._classification.publish(classification_message(kind, hypothesis, found.answer, shot))
-        if self._landmark is not None and (landmark := self._landmarks.seen(found.answer)) is not None:
+        if self._landmark is not None and (landmark := self._landmarks.recognised(found.answer)) is not None:
             self._landmark.publish(landmark_message(self._landmark_type, landmark, shot))
         if isinstance(pose, NoPose):
             self.localizer.note = f"no pose: {pose.detail}; {pose.remedy}"
@@ -190,7 +190,7 @@ class LocalizeNode(RevisitNode):
 
     def _send_transform(self) -> None:
         """The transform that holds, stamped ahead of the clock, so that it is there when it is asked for."""
-        transform = self._correction.at(self.clock())
+        transform = self._correction.current(self.clock())
         if transform is not None:
             values, self._broadcast = self.values, True
             stamp = self.ahead(values["transform_tolerance"])
