@@ -23,20 +23,20 @@ NAMES = ("hall, floor 1", "hall, floor 2", "hall, floor 3")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
     data = tmp_path_factory.mktemp("data")
     with CheckedClient(create_app(build(Settings(data=data, encoder="compact", threads=1)))) as opened:
-        for name in PLACES:
-            enroll(opened, "house", name, photo(scene(name)))
         yield opened
 
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_who_stands_at_one_of_them_is_not_nowhere(client: CheckedClient, count: int) -> None:
-    hall = scene("west corridor")
+    house, hall = f"house-{count}", scene("west corridor")
+    for name in PLACES:
+        enroll(client, house, name, photo(scene(name)))
     for step, name in enumerate(NAMES[:count]):
-        enroll(client, "house", name, photo(hall.seen_from(dx=0.01 * step)))
-    settled(client, "house")
+        enroll(client, house, name, photo(hall.seen_from(dx=0.01 * step)))
+    settled(client, house)
 
     for light in LIGHTS:
-        answer = query(client, "house", photo(hall.seen_from(dx=0.3, turn=3).at(light)))
+        answer = query(client, house, photo(hall.seen_from(dx=0.3, turn=3).at(light)))
         assert (answer["status"], answer["reason"]["code"]) == ("ambiguous", "look-alike")
         halls, others = answer["places"][:count], answer["places"][count:]
         assert {place["place"] for place in halls} == set(NAMES[:count])

@@ -9,9 +9,9 @@ import { Views, grid } from "./views.js";
 const PLACES_A_PAGE = 100;
 
 /**
- * What is in a map. `changed()` is called after a view was edited or deleted; it promises that the map's facts are shown
- * anew. Gives {element, show(map)}; call `show` whenever the map may have changed. The place that is chosen and what is
- * in sight stay.
+ * What is in a map. `changed()` is called after a view was edited or deleted; it promises that the map's facts are
+ * shown anew. Gives {element, show(map)}; call `show` whenever the map may have changed. The place that is chosen and
+ * what is in sight stay.
  */
 export function browser(name, changed) {
   let map = null;
