@@ -185,6 +185,12 @@ def test_look_alikes_have_what_the_best_one_leaves(first: float, each: list[floa
     assert shared(0.2, 1.0, 2) == pytest.approx([0.5, 1.0])
 
 
+@pytest.mark.parametrize("count", range(2, 11))
+@pytest.mark.parametrize("first", [0.0, 0.3, 0.999, 1.0])
+def test_certain_look_alikes_leave_nothing_below_0(first: float, count: int) -> None:
+    assert all(0 <= given <= 1 for given in shared(first, 1.0, count))
+
+
 def test_of_two_leads_as_large_the_broader_one_is_surer() -> None:
     everywhere, one_spot = ([0.02, 0.02, 0.02, 0.02], [0.08, 0.0, 0.0, 0.0])
     broad, narrow = (decided([0.3, 0.26], cells={0: lead, 1: [0.0] * 4}) for lead in (everywhere, one_spot))

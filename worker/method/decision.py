@@ -334,7 +334,8 @@ def shared(first: float, together: float, count: int) -> list[float]:
     """
     best = max(first, together / count)
     other = max(together - best, 0.0) / (count - 1)
-    return [best, *(other / (1 - best - before * other) for before in range(count - 1))]
+    left = (max(1 - best - before * other, 1e-12) for before in range(count - 1))
+    return [best, *(min(other / rest, 1.0) for rest in left)]
 
 
 def _in_turn(groups: Sequence[Sequence[int]], probabilities: Sequence[float]) -> tuple[PlaceProbability, ...]:

@@ -9,59 +9,36 @@ from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.settings import Settings
 from worker.configure import configure
-from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
-from worker.description.ports import Encoder
 from worker.description.presets import Wanted, make_recipe
 from worker.description.scheduler import Scheduler
 from worker.encoders.choosing import batch_of, make_encoder
 from worker.images import quality
-from worker.images.decoder import Decoder
 from worker.loop import Loop
 from worker.method.calibration import Calibration
 from worker.runtime.parts import MakeEncoder, Parts, make_parts
 from worker.runtime.services import Services, make_services
-from worker.search.ports import Catalogue
 from worker.service.attendance import Attendance, this_process
-from worker.service.bell import Bell
 from worker.service.calibrations import shipped_calibration
-from worker.service.comparing import MapComparer
 from worker.service.gate import QualityGate
 from worker.service.importing import Importer
 from worker.service.recordings import Limits
-from worker.service.settlements import Settlements
 from worker.service.tending import idle_work
 from worker.service.trouble import StoringTrouble
 from worker.storage.locks import lock_for_serving
 from worker.storage.migrating import newest
-from worker.storage.store import SqlStore
 
 
 @dataclass(frozen=True)
-class Runtime:
-    """The parts of a service, built by `build` and started together.
+class Runtime(Parts):
+    """The parts of a process and what is built of them, made by `build` and started together.
 
     Parameters
     ----------
-    settings : Settings
-    encoder : Encoder
-    store : SqlStore
-    decoder : Decoder
-    scheduler : Scheduler
-        Owns the encoder.
-    describers : Describers
-    catalogue : Catalogue
-        Of the maps' indexes.
-    comparer : MapComparer
-        Compares views in the background.
     loop : Loop or None
         None when only other processes describe images.
-    settlements : Settlements
-        Waits for a view to be described.
     attendance : Attendance
         Knows which workers are alive.
-    bell : Bell
-        Wakes the loop, and those of other processes.
     services : Services
     default_recipe : MapRecipe
         Recipe of a map that its first enrolment creates.
@@ -75,18 +52,8 @@ class Runtime:
         Releases the data folder.
     """
 
-    settings: Settings
-    encoder: Encoder
-    store: SqlStore
-    decoder: Decoder
-    scheduler: Scheduler
-    describers: Describers
-    catalogue: Catalogue
-    comparer: MapComparer
     loop: Loop | None
-    settlements: Settlements
     attendance: Attendance
-    bell: Bell
     services: Services
     default_recipe: MapRecipe
     calibration: Callable[[MapRecipe], Calibration]
@@ -164,18 +131,9 @@ def build(
             parts.bell.hang(loop)
         default_recipe = make_recipe(parts.encoder, Wanted(), preset=settings.preset)
         return Runtime(
-            settings=settings,
-            encoder=parts.encoder,
-            store=parts.store,
-            decoder=parts.decoder,
-            scheduler=parts.scheduler,
-            describers=parts.describers,
-            catalogue=parts.catalogue,
-            comparer=parts.comparer,
+            **vars(parts),
             loop=loop,
-            settlements=parts.settlements,
             attendance=attendance,
-            bell=parts.bell,
             services=make_services(parts, attendance, default_recipe),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
