@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from app.http.application import create_app
+from app.http.readiness import ReadinessCheck
 from schemas.errors import DiskFull, SetupError
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -95,6 +96,29 @@ def test_an_encoder_that_fails_is_found_out_although_nobody_queries(
         broken.setattr(ColorEncoder, "encode", fail)
         assert "RuntimeError" in until(client, False)["checks"]["encoder"]
     until(client, True)
+
+
+def test_a_service_too_busy_to_look_in_time_gives_its_last_result(
+    runtime: Runtime, client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until(client, True)
+    current, check = ReadinessCheck.current, runtime.store.check
+
+    async def late(self: ReadinessCheck) -> Any:
+        time.sleep(ANSWER_S)  # the event loop does nothing else meanwhile
+        return await current(self)
+
+    def slow() -> str:
+        time.sleep(ANSWER_S)
+        return check()
+
+    monkeypatch.setattr(ReadinessCheck, "current", late)
+    monkeypatch.setattr(runtime.store, "check", slow)
+
+    answer = client.get("/readyz")
+
+    assert (answer.status_code, answer.json()["checks"]["database"]) == (200, "ok")
+    assert answer.json()["age_s"] > 0
 
 
 def test_it_is_not_ready_while_the_table_of_views_cannot_be_read(runtime: Runtime, client: CheckedClient) -> None:
