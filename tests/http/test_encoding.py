@@ -98,11 +98,6 @@ def numbers_waiting(client: TestClient, count: int) -> None:
     until(lambda: client.app.state.shared.service.waiting >= count)  # type: ignore[attr-defined]
 
 
-def only_it_is_being_encoded(encoder: GatedEncoder, number: int) -> None:
-    """It has left the queue, so whatever is asked from now on is of another batch."""
-    until(lambda: encoder.batches == [[number]])
-
-
 def test_layers_are_those_of_the_encoder_to_the_byte(client: TestClient, encoder: GatedEncoder) -> None:
     images = np.random.default_rng(3).integers(0, 256, (3, 64, 96, 3), np.uint8)
 
@@ -121,7 +116,7 @@ def test_images_of_several_callers_go_through_the_network_together(client: TestC
     encoder.open.clear()
     with ThreadPoolExecutor(4) as nodes:
         first = nodes.submit(ask, client, pixels(1))
-        only_it_is_being_encoded(encoder, 1)
+        until(lambda: encoder.batches == [[1]])
         answers = [first]
         for number in (2, 3, 4):
             answers.append(nodes.submit(ask, client, pixels(number)))
@@ -143,7 +138,7 @@ def test_queries_go_before_enrolments_of_all_callers(client: TestClient, encoder
     encoder.open.clear()
     with ThreadPoolExecutor(4) as nodes:
         running = nodes.submit(ask, client, pixels(1))
-        only_it_is_being_encoded(encoder, 1)
+        until(lambda: encoder.batches == [[1]])
         enrolment = nodes.submit(ask, client, pixels(2, 3), parameters={"priority": 2})
         numbers_waiting(client, 3)
         query = nodes.submit(ask, client, pixels(4), parameters={"priority": 1})
@@ -179,7 +174,7 @@ def test_what_a_caller_no_longer_waits_for_is_not_encoded(client: TestClient, en
     encoder.open.clear()
     with ThreadPoolExecutor(1) as nodes:
         running = nodes.submit(ask, client, pixels(1))
-        only_it_is_being_encoded(encoder, 1)
+        until(lambda: encoder.batches == [[1]])
         late = ask(client, pixels(2, 3), parameters={"timeout": 50_000})
         encoder.open.set()
         assert running.result().status_code == 200
@@ -194,7 +189,7 @@ def test_an_image_that_kills_the_network_fails_alone(client: TestClient, encoder
     encoder.open.clear()
     with ThreadPoolExecutor(3) as nodes:
         nodes.submit(ask, client, pixels(1))
-        only_it_is_being_encoded(encoder, 1)
+        until(lambda: encoder.batches == [[1]])
         bad = nodes.submit(ask, client, pixels(99))
         numbers_waiting(client, 2)
         good = nodes.submit(ask, client, pixels(3))

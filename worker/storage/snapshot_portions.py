@@ -1,6 +1,7 @@
 """Views of a map in portions, as they go into its snapshot."""
 
 from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ from worker.storage.snapshot_rows import WrittenView, first_elapsed, written_vie
 from worker.storage.tables import VIEWS
 
 MOST_VIEWS, MOST_BYTES = 128, 16 * 1024 * 1024
-"""Of a portion, and of its images; one that is larger goes alone. Two portions are in memory at once, or three."""
+"""Of a portion, and of its images; one that is larger goes alone. Three portions are in memory at once, or four."""
 
 DAMAGED_DESCRIPTION = (
     "the description of the view {} is damaged, and its map keeps no image to make another from, so that no whole "
@@ -74,10 +75,20 @@ class Portions:
         self._since_us = first_elapsed(connection, map_id)
 
     def all(self, views: Sequence[SizedView]) -> Iterator[Portion]:
-        """Portions of views that are given in enrolment order; raises Damaged where one cannot be told whole."""
-        for seqs in portions(views):
-            without = without_image(self._connection, self._map_id, seqs)
-            yield self._portion(seqs, written_views(self._connection, seqs, self._recipe, self._since_us), without)
+        """Portions of views that are given in enrolment order; raises Damaged where one cannot be told whole.
+
+        A thread beside reads the images of a portion while the rows of the next are read.
+        """
+        with ThreadPoolExecutor(1, "revisit-snapshot-images") as thread:
+            last: Future[Portion] | None = None
+            for seqs in portions(views):
+                without = without_image(self._connection, self._map_id, seqs)
+                rows = written_views(self._connection, seqs, self._recipe, self._since_us)
+                before, last = last, thread.submit(self._portion, seqs, rows, without)
+                if before is not None:
+                    yield before.result()
+            if last is not None:
+                yield last.result()
 
     def _portion(self, seqs: Sequence[int], views: Sequence[WrittenView], without: Collection[int]) -> Portion:
         """Views with their images, those in `without` apart, which need their descriptions."""
