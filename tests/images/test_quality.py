@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scenes import scene
+from scenes.carried import bonnet
 from scenes.scene import Lighting
 from schemas.image import Image
 from worker.images.quality import is_blank, problem
@@ -60,6 +61,47 @@ def even(value: int) -> np.ndarray:
 @pytest.mark.parametrize("pixels", [grainy(8), grainy(0), grainy(128), even(252), even(0)])
 def test_darkness_glare_and_a_covered_lens_show_nothing(pixels: np.ndarray) -> None:
     assert is_blank(Image(pixels, "", "jpeg", 1))
+
+
+def letterboxed(pixels: np.ndarray) -> np.ndarray:
+    return np.pad(pixels, ((100, 100), (0, 0), (0, 0)))
+
+
+def upright(pixels: np.ndarray) -> np.ndarray:
+    return np.pad(pixels, ((0, 0), (240, 240), (0, 0)))
+
+
+def fisheye(pixels: np.ndarray) -> np.ndarray:
+    """The circle that such a lens shows."""
+    height, width = pixels.shape[:2]
+    circle = cv2.circle(np.zeros((height, width, 1), np.uint8), (width // 2, height // 2), height // 2, 1, -1)
+    return np.asarray(pixels * circle)
+
+
+BORDERED = [letterboxed, upright, fisheye]
+
+
+@pytest.mark.parametrize("bordered", BORDERED)
+@pytest.mark.parametrize("pixels", [grainy(8), grainy(128), even(252)])
+def test_nothing_within_a_black_border_is_nothing(pixels: np.ndarray, bordered: Change) -> None:
+    said = [str(problem(one)).partition(" (")[0] for one in (bordered(pixels), pixels)]
+    assert said[0] == said[1]
+    assert is_blank(Image(bordered(pixels), "", "jpeg", 1))
+
+
+@pytest.mark.parametrize("bordered", BORDERED)
+@pytest.mark.parametrize("light", ["noon", "dusk", "night"])
+def test_something_within_a_black_border_is_something(light: Lighting, bordered: Change) -> None:
+    assert problem(bordered(photo(light))) is None
+    assert not is_blank(Image(bordered(photo(light)), "", "jpeg", 1))
+
+
+def test_what_is_fixed_to_the_camera_does_not_count() -> None:
+    fixed = np.zeros((16, 28), np.bool_)
+    fixed[12:] = True
+    assert is_blank(Image(bonnet(grainy(128), 0.25), "", "jpeg", 1), fixed)
+    assert not is_blank(Image(bonnet(grainy(128), 0.25), "", "jpeg", 1))
+    assert not is_blank(Image(bonnet(photo(), 0.25), "", "jpeg", 1), fixed)
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,12 @@ def queried(client: TestClient, name: str, carried: Callable[[Pixels], Pixels]) 
     return answer
 
 
+def wall(light: float) -> Pixels:
+    """Bare, and seen with the noise of a camera."""
+    grain = np.random.default_rng(int(light)).normal(light, 3, (480, 640, 3))
+    return np.clip(grain, 0, 255).astype(np.uint8)
+
+
 def large_bonnet(pixels: Pixels) -> Pixels:
     return bonnet(pixels, 0.3)
 
@@ -64,6 +70,12 @@ def test_what_the_camera_carries_along_says_nothing_of_a_place(
                 shown = cells_of(explained, one, kept[one.seq])
                 assert shown is not None
                 assert shown.of_query().ravel() == pytest.approx(told.results.ranking.cells[rank], abs=1e-5)
+
+        # A wall close by is the same with the bonnet before it wherever it stands.
+        client.post("/enroll?map=drive&place=wall", content=jpeg(carried(wall(170))), headers=JPEG).raise_for_status()
+        for light in (170, 90, 6):
+            seen = client.post("/query?map=drive", content=jpeg(carried(wall(light))), headers=JPEG).json()
+            assert (seen["status"], seen["reason"]["code"]) == ("no_match", "poor-picture")
 
         bare = queried(client, PLACES[0], np.asarray)
         assert bare["query"]["fixed_share"] < 0.05  # the camera of somebody else, which carries nothing

@@ -160,11 +160,14 @@ def without_fixed(query: Description, fixed: Iterable[CameraFixed | None]) -> De
     return replace(query, cells=left, appearance=appearance, keypoints=keypoints)
 
 
+def left_out(query: Description, shown: Description) -> Booleans:
+    """Cells of a query that `without_fixed` left out, of shape (rows, columns)."""
+    return np.asarray(query.cells.any(axis=-1) & ~shown.cells.any(axis=-1))
+
+
 def share_left_out(query: Description, shown: Description) -> float:
     """Share of a query's cells that `without_fixed` left out, 0..1."""
-    if not query.cells.size:
-        return 0.0
-    return float((query.cells.any(axis=-1) & ~shown.cells.any(axis=-1)).mean())
+    return float(left_out(query, shown).mean()) if query.cells.size else 0.0
 
 
 def _often(keypoints: Sequence[LocalFeatures]) -> LocalFeatures:

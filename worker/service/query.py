@@ -9,13 +9,14 @@ from itertools import chain
 
 from uuid6 import uuid7
 
-from schemas.description import Description
+from schemas.description import Booleans, Description
 from schemas.errors import InvalidParameters, NotFound, RevisitError
 from schemas.image import Image
 from schemas.inbox import QueryToKeep
 from schemas.records import Filters
 from worker.description.describer import components
 from worker.description.scheduler import Timed
+from worker.method.camera_fixed import left_out
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide, of_nothing
 from worker.method.joining import Joined, join
@@ -121,7 +122,8 @@ class QueryService:
     look_for_problem : function
         What is wrong with an image, in words, or None.
     is_blank : function
-        Whether an image shows nothing at all: two of them are alike wherever they were taken.
+        Whether an image shows nothing at all beside cells that are fixed to the camera: two of them are alike wherever
+        they were taken.
     thumbnail : function
         Bytes and length of the longer side to a small JPEG.
     kept : QueryKeeper
@@ -142,7 +144,7 @@ class QueryService:
         decode: Callable[[bytes], Image],
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
-        is_blank: Callable[[Image], bool],
+        is_blank: Callable[[Image, Booleans], bool],
         thumbnail: Callable[[bytes, int], bytes],
         kept: QueryKeeper,
         scores: ScoreKeeper,
@@ -201,8 +203,8 @@ class QueryService:
     ) -> QueryResult:
         """The answer to a query, from what was found in the maps; a drive, if it is of one, counts the image."""
         decisions = [_decide(one.results, options) for one in found]
-        if blank := self._is_blank(image):
-            decisions = [of_nothing(one) for one in decisions]
+        blank = [self._is_blank(image, left_out(one.description, one.results.query)) for one in found]
+        decisions = [of_nothing(one) if nothing else one for one, nothing in zip(decisions, blank, strict=True)]
         driven = None
         if options.drive is not None:
             [one], [decision] = found, decisions
@@ -213,7 +215,7 @@ class QueryService:
                 decision,
                 options.consistent,
                 options.call,
-                blank,
+                blank[0],
             )
             found, decisions = [replace(one, results=results)], [decision]
         joined = join(decisions)
