@@ -162,6 +162,13 @@ def test_another_place_that_is_nearly_as_good_is_named_as_look_alike() -> None:
     assert twins.reason.code == "look-alike"
 
 
+def test_a_place_that_gets_what_wrong_places_get_is_no_look_alike() -> None:
+    places = named(*map(str, range(12)))
+    usual, more = (decided([0.28, score, *[0.1] * 10], places) for score in (0.195, 0.22))
+    assert (usual.status, usual.reason.code) == ("ambiguous", "weak")
+    assert more.reason.code == "look-alike"
+
+
 def test_floors_that_the_map_takes_for_one_stand_out_together() -> None:
     known = {0: KnownView("floor 1"), 1: KnownView("floor 2", same_spot=frozenset({0})), 2: KnownView("cellar")}
     together = decided([0.6, 0.6, 0.2], known)

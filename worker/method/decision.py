@@ -308,7 +308,9 @@ def decide(
         status = "ambiguous"
     of_views = replace(ranking, impostors=None)
     of_no_place = is_sure(first_features(of_views, ranking.rivals, usual, lowest, own_weight))
-    reason = reason_for(status, outrivalled=outrivalled, of_no_place=of_no_place, searched=searched)
+    # A place that gets no more than wrong places usually do is to blame for nothing, unless it is taken for the first.
+    blamed = rival is not None and (stand_out_together or bool(ranking.scores[rival] > usual.level))
+    reason = reason_for(status, outrivalled=outrivalled and blamed, of_no_place=of_no_place, searched=searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
     return Decision(status, confidence, reason, precision, threshold, usual, places, confidences(places), first)

@@ -55,7 +55,8 @@ def reason_for(status: Verdict, *, outrivalled: bool, of_no_place: bool, searche
     ----------
     status : {"matched", "ambiguous", "no_match"}
     outrivalled : bool
-        Whether the first place would be matched if there were no other place.
+        Whether the first place would be matched if there were no other place, and another one gets more than wrong
+        places usually do or is taken for it.
     of_no_place : bool
         Whether it would be matched if the query were compared with no impostors.
     searched : int
