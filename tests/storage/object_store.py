@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 import boto3
 from moto.server import ThreadedMotoServer
@@ -62,6 +63,20 @@ class ObjectStore:
         """Names of all objects below the prefix, but for those that say of which database they are."""
         found = self.client.list_objects_v2(Bucket=BUCKET, Prefix=PREFIX).get("Contents", [])
         return sorted({str(each["Key"]).removeprefix(PREFIX) for each in found} - {OWNER, ALIVE})
+
+    def take(self, folder: Path) -> None:
+        """Copy all files of a folder into the store, as `aws s3 sync` does."""
+        for path in folder.rglob("*"):
+            if path.is_file():
+                name = PREFIX + str(path.relative_to(folder))
+                self.client.put_object(Bucket=BUCKET, Key=name, Body=path.read_bytes())
+
+    def give(self, folder: Path) -> None:
+        """Copy all objects below the prefix into a folder."""
+        for each in self.client.list_objects_v2(Bucket=BUCKET, Prefix=PREFIX)["Contents"]:
+            path = folder / str(each["Key"]).removeprefix(PREFIX)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(self.client.get_object(Bucket=BUCKET, Key=each["Key"])["Body"].read())
 
     def unfinished(self) -> list[str]:
         """Names of the objects whose upload has not ended."""

@@ -1,5 +1,6 @@
 """What is promised of images holds wherever they lie: in a folder, or in an S3-compatible store."""
 
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -11,12 +12,13 @@ import pytest
 from schemas.errors import Conflict, Damaged, DiskFull, NotFound, RevisitError, StorageFailed
 from schemas.records import Filters, ViewAttributes
 from tests.storage.conftest import Place
-from tests.storage.databases import postgres_schema, sqlite_url
+from tests.storage.databases import postgres_schema, put_tables, sqlite_url
 from tests.storage.material import NOW, describe_all, enroll, facts, image
 from tests.storage.object_store import ADDRESS, aws, refusing, server
 from tests.waiting import until
 from worker.storage.examining import examine
 from worker.storage.repairing import repair
+from worker.storage.signs import ALIVE
 from worker.storage.store import open_store
 
 Put = Callable[[str, bytes | None], None]
@@ -270,3 +272,36 @@ def test_a_database_that_is_new_removes_no_images(place: Place, caplog: pytest.L
     place.store.close()
     place.store = place.open()
     assert place.digests() == [digest]
+
+
+def test_doctor_finds_nothing_where_images_were_moved_to_the_other_place(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By `aws s3 sync`, which takes all that lies there: locks of the folder, and signs of life of the object store."""
+    objects = server()
+    objects.empty()
+    for name, value in aws(objects.url).items():
+        monkeypatch.setenv(name, value)
+    put_tables(data)
+    url = sqlite_url(data)
+    with closing(open_store(url, data)) as store:
+        enroll(store, "gate")
+        describe_all(store)
+        store.recover()
+
+    objects.take(data / "pictures")
+    with closing(open_store(url, data, images=ADDRESS)) as store:
+        store.refuse_foreign()
+        store.recover()
+        store.tend()
+        enroll(store, "pond")
+        describe_all(store)
+    assert list(examine(url, data, images=ADDRESS)) == []
+
+    shutil.rmtree(data / "pictures")
+    objects.give(data / "pictures")
+    assert (data / "pictures" / ALIVE).exists()
+    with closing(open_store(url, data)) as store:
+        store.refuse_foreign()
+        store.recover()
+    assert list(examine(url, data)) == []

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from worker.storage.finding import REPAIR, Finding
-from worker.storage.image_files import DIGEST, UNFINISHED, owner_of
+from worker.storage.image_files import DIGEST, LOCK, UNFINISHED, owner_of
 from worker.storage.owner_file import OWNER
+from worker.storage.signs import ALIVE
 
 AGAIN = "enrol the image again, or restore the file from a backup"
 ORPHAN = "belongs to no view"
@@ -73,8 +74,8 @@ def image_findings(
         name = str(path.relative_to(folder.parent))
         digest = path.name
         placed = path.parent == folder / digest[:2] / digest[2:4]
-        if path == folder / OWNER or (path.name == ".lock" and path.parent.parent == folder):
-            continue
+        if path in (folder / OWNER, folder / ALIVE) or (path.name == LOCK and path.parent.parent == folder):
+            continue  # the sign of life came with the images, from an object store
         if path.name.startswith(UNFINISHED):
             if not running:
                 yield Finding(name, LEFTOVER, f"{REPAIR} removes it")

@@ -1,5 +1,6 @@
 """Examines the images of an S3-compatible store: every object is read."""
 
+import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -8,7 +9,7 @@ from functools import partial
 from schemas.errors import Damaged, RevisitError, SetupError
 from worker.storage.examining_images import AGAIN, FOREIGN, LOST, NEW, ORPHAN, THEIRS, Needed, is_foreign, still_needed
 from worker.storage.finding import REPAIR, Finding
-from worker.storage.image_files import DIGEST
+from worker.storage.image_files import DIGEST, LOCK
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
 from worker.storage.owner_file import OWNER
 from worker.storage.peers import ImageHold
@@ -18,6 +19,9 @@ from worker.storage.uploads import IMPORTS
 
 COPY = "was ahead of this database a moment ago: another copy of it is served with these images"
 COPIES = "see REVISIT_DATABASE and REVISIT_IMAGES; if this one was restored just now, look again in two minutes"
+
+_BESIDE = re.compile(rf"{re.escape(PROBE)}|{OWNER}|{ALIVE}|({IMPORTS}|{SNAPSHOTS})/.*|[0-9a-f]{{2}}/{re.escape(LOCK)}")
+"""Objects that are no images; locks came with the images, from a folder."""
 
 
 def object_findings(
@@ -94,7 +98,7 @@ def _findings(
         digest = name.rpartition("/")[2]
         if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
             placed.append(digest)
-        elif name not in (PROBE, OWNER, ALIVE) and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
+        elif not _BESIDE.fullmatch(name):
             yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
     with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
         faults = pool.map(partial(_fault, objects), placed)

@@ -27,6 +27,9 @@ from worker.storage.peers import ImageHold
 
 UNFINISHED = ".writing-"
 
+LOCK = ".lock"
+"""Of each of the 256 folders of images."""
+
 DIGEST = re.compile("[0-9a-f]{64}")
 
 LOST = "the file {} of its image {}; enrol the image again, or restore the file from a backup"
@@ -256,7 +259,7 @@ class Images:
 
     @contextmanager
     def _locked(self, first: str) -> Iterator[None]:
-        with translated("images"), held(self._folder / first / ".lock"):
+        with translated("images"), held(self._folder / first / LOCK):
             yield
 
     def _write(self, digest: str, image: bytes) -> bool:
