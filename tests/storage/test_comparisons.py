@@ -336,6 +336,23 @@ def test_a_comparison_that_does_not_name_its_rival_is_made_again(store: SqlStore
     assert store.comparisons.levels("campus").compared == 2
 
 
+def test_a_comparison_whose_rival_a_version_before_deleted_is_made_again(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That version told nobody, and a map of many views is not compared anew when one goes."""
+    first = described(store, *(f"view {i}" for i in range(SMALL + 2)))
+    taken = [replace(compared(seq, len(first)), rival=first[0]) for seq in first[1:4]]
+    store.comparisons.keep("campus", RECIPE, [*taken, *(compared(seq, len(first)) for seq in first[4:])], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(first[0], len(first))], NOW)
+    with monkeypatch.context() as before:
+        before.setattr("worker.storage.removals.outdate", lambda *_: None)
+        store.removals.delete_view(store.views.at(first)[first[0]].id)
+    assert due(store) == set(first[1:4])
+
+    store.comparisons.keep("campus", RECIPE, [compared(seq, len(first) - 1) for seq in first[1:4]], NOW)
+    assert due(store) == set()
+
+
 def test_a_comparison_that_does_not_know_how_broad_its_lead_is_is_made_again(store: SqlStore) -> None:
     """Those that an earlier version made; until then the map is taken for one like others."""
     one, two = described(store, "gate", "pond")

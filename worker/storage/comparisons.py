@@ -93,7 +93,7 @@ class Comparisons(Part):
                     settled[row.id] = row.revision
                     continue
                 among = connection.scalar(_ready(row)) or 0
-                named = COMPARISONS.c.level.is_(None) | COMPARISONS.c.rival.is_not(None)  # since migration 0010
+                named = COMPARISONS.c.level.is_(None) | _has_rival(row)  # named since migration 0010
                 broad = COMPARISONS.c.gap.is_(None) | COMPARISONS.c.breadth.is_not(None)  # since migration 0017
                 fresh = (*_of(row), _current(among, SMALL * (not busy)), named, broad)
                 done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
@@ -221,6 +221,12 @@ def _of(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
 def _current(among: int, small: int) -> sa.ColumnElement[bool]:
     """Whether a comparison still says what it would say in a map that has `among` views now."""
     return COMPARISONS.c.among == among if among <= small else COMPARISONS.c.among * 2 > among
+
+
+def _has_rival(row: sa.Row[Any]) -> sa.ColumnElement[bool]:
+    """Whether the rival of a comparison is searched. Up to 0.3.0 it could be deleted without `outdate`."""
+    rivals = DESCRIPTIONS.alias()
+    return sa.exists().where(rivals.c.seq == COMPARISONS.c.rival, rivals.c.recipe == row.recipe)
 
 
 def _described(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
