@@ -101,7 +101,8 @@ class Connection:
             # A newer service may add fields that this client does not know.
             return model.model_validate(answer.json(), extra="ignore")
         except (ValidationError, ValueError) as error:
-            raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
+            what = "is not revisit's, or of a version before this client's"
+            raise ClientError(f"{self.url} answered something that {what}: {error}") from error
 
     def stream(self, path: str) -> Iterator[bytes]:
         """The body of an answer to GET, in pieces, asked for as `send` does.

@@ -290,6 +290,13 @@ def test_a_newer_service_may_add_fields() -> None:
     assert client(lambda _: httpx.Response(201, json=body)).enroll(b"x").created
 
 
+def test_an_older_service_may_lack_fields_and_is_not_taken_for_something_else() -> None:
+    body = answers.enrolled()
+    del body["created"]
+    with pytest.raises(ClientError, match="or of a version before this client's"):
+        client(lambda _: httpx.Response(201, json=body)).enroll(b"x")
+
+
 def test_something_else_at_the_address_is_named() -> None:
     with pytest.raises(ClientError, match="not revisit's"):
         client(lambda _: httpx.Response(200, text="hello")).maps()
