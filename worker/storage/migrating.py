@@ -58,7 +58,7 @@ def is_current(connection: sa.Connection) -> bool:
     if found is not None and found not in known():
         raise SetupError(
             f"the database has tables of revision {found}, which is newer than this version of revisit "
-            f"({newest()}); run the newer version, or restore a snapshot made by this one"
+            f"({newest()}); run the newer version, or put the backup from before the upgrade in its place"
         )
     return found == newest()
 
