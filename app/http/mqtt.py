@@ -6,6 +6,7 @@ wait in memory, bounded, and are lost when the service ends before it is back.
 
 import json
 import logging
+import secrets
 import ssl
 import threading
 import time
@@ -59,7 +60,9 @@ class Mqtt:
             raise SetupError(EXTRA) from None
         to = urlsplit(address)
         self._host, self._port, self._topic = to.hostname or "", to.port or PORTS[to.scheme], topic
-        self._client = Client(CallbackAPIVersion.VERSION2)
+        # A name of its own for as long as it lives: without one each connection is somebody else to the broker, which
+        # then gives the will of a connection that broke unseen after this is online again.
+        self._client = Client(CallbackAPIVersion.VERSION2, f"revisit-{secrets.token_hex(7)}")
         if to.username:
             self._client.username_pw_set(unquote(to.username), password)
         if to.scheme == "mqtts":

@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -190,6 +190,64 @@ def test_what_was_found_while_the_broker_was_away_is_published_when_it_is_back(
     assert found == {str(number) for number in range(20)}
     assert caplog.text.count("cannot be reached") == 1
     assert "is there again" in caplog.text
+
+
+@contextmanager
+def breaking(port: int) -> Iterator[tuple[int, list[tuple[socket.socket, socket.socket]]]]:
+    """A port from which connections go on to `port`; both ends of each, which break one without the other."""
+    ends: list[tuple[socket.socket, socket.socket]] = []
+    threads: list[threading.Thread] = []
+
+    def carry(one: socket.socket, other: socket.socket) -> None:
+        with suppress(OSError):
+            while data := one.recv(65536):
+                other.sendall(data)
+
+    def take() -> None:
+        with suppress(OSError):
+            while True:
+                pair = taking.accept()[0], socket.create_connection(("127.0.0.1", port))
+                ends.append(pair)
+                for one, other in (pair, pair[::-1]):
+                    threads.append(threading.Thread(target=carry, args=(one, other)))
+                    threads[-1].start()
+
+    with socket.create_server(("127.0.0.1", 0)) as taking:
+        threads.append(threading.Thread(target=take))
+        threads[0].start()
+        yield taking.getsockname()[1], ends
+        taking.shutdown(socket.SHUT_RDWR)
+        threads[0].join()
+        for end in (end for pair in ends for end in pair):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join()
+        for end in (end for pair in ends for end in pair):
+            end.close()
+
+
+@broker_needed
+def test_a_service_whose_connection_broke_unseen_by_the_broker_stays_online(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a router's restart breaks it: the broker finds that out later than the service is back, and gave its will."""
+    monkeypatch.setattr(mqtt, "KEEP_ALIVE_S", 2)
+    port = free_port()
+    with broker(tmp_path, port), breaking(port) as (between, ends):
+        teller = Mqtt(f"mqtt://127.0.0.1:{between}", None, "revisit")
+        with listening(port) as fleet:
+            teller.start()
+            until(lambda: fleet.messages == [("revisit/status", b"online")])
+            ours, brokers = ends[0]
+            ours.shutdown(socket.SHUT_RDWR)
+            until(lambda: fleet.messages[1:].count(("revisit/status", b"online")))
+            brokers.settimeout(PATIENCE_S)
+            until(lambda: not brokers.recv(1, socket.MSG_PEEK))  # the broker has found out
+        with listening(port) as late:
+            until(lambda: late.messages)
+        teller.close()
+    assert late.messages == [("revisit/status", b"online")]
 
 
 def test_a_broker_that_never_comes_delays_no_query_and_a_stop_by_seconds(
