@@ -8,6 +8,7 @@ import json
 import logging
 import secrets
 import ssl
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -144,11 +145,16 @@ class Mqtt:
         self._of_status.add(client.publish(f"{self._topic}/status", "online", qos=1, retain=True).mid)
 
     def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
-        if reason.is_failure and not self._closing:
+        if reason.is_failure and not self._closing and self._told is None:  # else: of one that never stood
             self._say(f"the connection to the broker of MQTT at {self._host}:{self._port} was lost; events wait")
 
     def _failed(self, client: Any, userdata: Any) -> None:
-        self._say(f"the broker of MQTT at {self._host}:{self._port} cannot be reached; events wait")
+        broker = f"the broker of MQTT at {self._host}:{self._port}"
+        error = sys.exception()  # that this is called for
+        if isinstance(error, ssl.SSLCertVerificationError):
+            self._say(f"{broker} shows a certificate that is not trusted ({error.verify_message}); events wait")
+        else:
+            self._say(f"{broker} cannot be reached; events wait")
 
     def _taken(self, client: Any, userdata: Any, mid: int, reason: Any, properties: Any) -> None:
         if mid in self._of_status:

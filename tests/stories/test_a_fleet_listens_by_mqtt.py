@@ -24,6 +24,7 @@ from app.http.webhooks import Webhooks
 from schemas.errors import SetupError
 from schemas.settings import read_settings
 from schemas.wire import QueryAnswer
+from tests.certificates import self_signed
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import RunningService
@@ -44,8 +45,10 @@ def free_port() -> int:
 
 
 @contextmanager
-def broker(folder: Path, port: int, password: str | None = None) -> Iterator[None]:
-    """mosquitto on a port, for anyone or for the user ``robot``."""
+def broker(
+    folder: Path, port: int, password: str | None = None, tls: tuple[Path, Path] | None = None
+) -> Iterator[None]:
+    """mosquitto on a port, for anyone or for the user ``robot``; `tls`: files of its key and certificate."""
     lines = [f"listener {port} 127.0.0.1", f"allow_anonymous {str(password is None).lower()}"]
     if os.geteuid() == 0:
         lines.append("user root")
@@ -54,6 +57,8 @@ def broker(folder: Path, port: int, password: str | None = None) -> Iterator[Non
         subprocess.run(["mosquitto_passwd", "-b", "-c", users, "robot", password], check=True, capture_output=True)
         users.chmod(0o600)
         lines.append(f"password_file {users}")
+    if tls is not None:
+        lines += [f"keyfile {tls[0]}", f"certfile {tls[1]}"]
     settings = folder / "mosquitto.conf"
     settings.write_text("\n".join(lines) + "\n")
     assert MOSQUITTO is not None
@@ -269,14 +274,43 @@ def test_a_broker_that_never_comes_delays_no_query_and_a_stop_by_seconds(
 
 
 @broker_needed
-def test_a_wrong_password_is_said_once_and_never_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
+def test_a_wrong_password_is_said_once_and_never_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    port, attempts = free_port(), list[int]()
+    monkeypatch.setattr(mqtt, "AGAIN_S", (1, 1))
     teller = Mqtt(f"mqtt://robot@127.0.0.1:{port}", "a guess", "revisit")
-    with caplog.at_level(logging.INFO), broker(tmp_path, port, "let me in"):
+    teller._client.on_pre_connect = lambda client, userdata: attempts.append(1)
+    with caplog.at_level(logging.INFO, "revisit"), broker(tmp_path, port, "let me in"):
         teller.start()
-        until(lambda: "refuses the connection" in caplog.text)
+        until(lambda: len(attempts) >= 3)
         teller.close(0.1)
-    assert "a guess" not in caplog.text
+    (said,) = caplog.messages
+    assert said == f"the broker of MQTT at 127.0.0.1:{port} refuses the connection: Not authorized"
+
+
+@broker_needed
+@pytest.mark.filterwarnings("ignore:unclosed <ssl:ResourceWarning")  # paho leaves the socket to its last reference
+def test_a_certificate_that_is_not_trusted_is_told_as_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    port, outcomes, tls = free_port(), list[str](), self_signed(tmp_path)
+    with broker(tmp_path, port, tls=tls):
+        strange = Mqtt(f"mqtts://localhost:{port}", None, "revisit")
+        strange.start()
+        until(lambda: caplog.messages)
+        strange.close(0.1)
+        monkeypatch.setenv("SSL_CERT_FILE", str(tls[1]))
+        known = Mqtt(f"mqtts://localhost:{port}", None, "revisit")
+        known.on_outcome(outcomes.append)
+        known.start()
+        known.tell(answer("q"))
+        until(lambda: outcomes == ["delivered"])
+        known.close()
+    assert caplog.messages == [
+        f"the broker of MQTT at localhost:{port} shows a certificate that is not trusted (self-signed certificate);"
+        " events wait"
+    ]
 
 
 @pytest.mark.parametrize(

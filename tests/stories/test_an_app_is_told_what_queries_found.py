@@ -6,10 +6,8 @@ import hashlib
 import hmac
 import json
 import logging
-import shutil
 import socket
 import ssl
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,6 +26,7 @@ from app.http.webhooks import Webhooks, signature
 from schemas.errors import SetupError
 from schemas.settings import read_settings
 from schemas.wire import QueryAnswer
+from tests.certificates import self_signed
 from tests.sample_images import photo
 from tests.stories.running import RunningService
 from tests.waiting import PATIENCE_S, until
@@ -203,13 +202,7 @@ def dripping(
     ended, taken, threads = threading.Event(), list[socket.socket](), list[threading.Thread]()
     wrap: Callable[[socket.socket], socket.socket] = lambda connection: connection  # noqa: E731
     if request.param == "https":
-        key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
-        if shutil.which("openssl") is None:
-            pytest.skip("TLS IS NOT TRIED: there is no openssl to make a certificate with")
-        making = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
-        naming = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost"]
-        to = ["-keyout", str(key), "-out", str(certificate)]
-        subprocess.run([*making, *naming, *to], check=True, capture_output=True)
+        key, certificate = self_signed(tmp_path)
         monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(certificate, key)
