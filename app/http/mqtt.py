@@ -129,7 +129,10 @@ class Mqtt:
             told = self._client.publish(f"{self._topic}/status", "offline", qos=1, retain=True)
             told.wait_for_publish(max(0.1, until - time.monotonic()))
         self._client.disconnect()
-        self._client.loop_stop()
+        # Its thread may be connecting, which takes as long as it takes, and so would waiting for it.
+        ending = threading.Thread(target=self._client.loop_stop, name="revisit-mqtt-end", daemon=True)
+        ending.start()
+        ending.join(max(0.1, until - time.monotonic()))
         for _ in range(left):
             self._lose("the service stopped")
 
