@@ -273,17 +273,17 @@ def test_a_broker_that_never_comes_delays_no_query_and_a_stop_by_seconds(
     assert "more than 50 wait" in caplog.text
 
 
-def test_a_stop_does_not_wait_for_a_connection_that_is_being_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_does_not_wait_for_a_connection_that_is_being_made() -> None:
     """As where the network is away, or the names of hosts are not answered."""
     teller = Mqtt(f"mqtt://127.0.0.1:{free_port()}", None, "revisit")
     connecting, over = threading.Event(), threading.Event()
 
-    def connect_without_end() -> None:
+    def connect_without_end(client: Any, userdata: Any) -> None:
         connecting.set()
         over.wait()
         raise ConnectionRefusedError
 
-    monkeypatch.setattr(teller._client, "reconnect", connect_without_end)
+    teller._client.on_pre_connect = connect_without_end
     teller.start()
     assert connecting.wait(PATIENCE_S)
     closing = threading.Thread(target=teller.close, args=(0.2,))
@@ -292,6 +292,7 @@ def test_a_stop_does_not_wait_for_a_connection_that_is_being_made(monkeypatch: p
     waits = closing.is_alive()
     over.set()
     closing.join()
+    until(lambda: teller._client._thread is None)
     assert not waits
 
 
