@@ -1,0 +1,56 @@
+"""Prometheus itself evaluates the alerts over series as services print them."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ALERTS = Path(__file__).parents[1] / "deploy" / "prometheus" / "alerts.yml"
+PROMTOOL = shutil.which("promtool")
+
+pytestmark = pytest.mark.skipif(PROMTOOL is None, reason="ALERTS ARE NOT TRIED: promtool is not installed")
+
+
+WORKERS = 'revisit_workers{instance="a"}'
+SIGN_OF_LIFE = 'revisit_worker_heartbeat_age_seconds{instance="a"}'
+
+
+def told(folder: Path, alert: str, minute: int, series: dict[str, str]) -> list[str]:
+    """What a rule tells at a minute: the descriptions of its alerts.
+
+    `series` are values by the minute, as Prometheus's own tests of rules write them.
+    """
+    given = [{"series": name, "values": values} for name, values in series.items()]
+    expected = {"eval_time": f"{minute}m", "alertname": alert, "exp_alerts": []}
+    rules = {
+        "rule_files": [str(ALERTS)],
+        "evaluation_interval": "1m",
+        "tests": [{"interval": "1m", "input_series": given, "alert_rule_test": [expected]}],
+    }
+    file = folder / "rules.json"
+    file.write_text(json.dumps(rules))  # which is YAML too
+    assert PROMTOOL is not None
+    tried = subprocess.run([PROMTOOL, "test", "rules", str(file)], capture_output=True, text=True, check=False)
+    said = tried.stdout + tried.stderr
+    descriptions = re.findall(r'got:\[.*?description="(.*?)"', said, re.DOTALL)
+    assert (tried.returncode == 0) == (descriptions == []), said
+    return descriptions
+
+
+def test_workers_that_were_killed_are_told(tmp_path: Path) -> None:
+    """A node takes a worker that is gone for dead within the lease, and forgets when it gave a sign of life."""
+    gone = {WORKERS: "1 1 0x10", SIGN_OF_LIFE: "1 1 stale _x9"}
+    assert len(told(tmp_path, "RevisitWorkerSilent", 6, gone)) == 1
+
+
+def test_workers_that_cannot_write_are_told(tmp_path: Path) -> None:
+    silent = {WORKERS: "2x12", SIGN_OF_LIFE: "1+60x12"}
+    assert len(told(tmp_path, "RevisitWorkerSilent", 10, silent)) == 1
+
+
+def test_workers_that_work_are_not_told(tmp_path: Path) -> None:
+    at_work = {WORKERS: "1x12", SIGN_OF_LIFE: "1x12"}
+    assert told(tmp_path, "RevisitWorkerSilent", 10, at_work) == []
