@@ -54,3 +54,19 @@ def test_workers_that_cannot_write_are_told(tmp_path: Path) -> None:
 def test_workers_that_work_are_not_told(tmp_path: Path) -> None:
     at_work = {WORKERS: "1x12", SIGN_OF_LIFE: "1x12"}
     assert told(tmp_path, "RevisitWorkerSilent", 10, at_work) == []
+
+
+def failed(map_name: str) -> str:
+    return f'revisit_views{{instance="a",map="{map_name}",state="failed"}}'
+
+
+def test_views_that_fail_are_told_also_those_of_a_map_that_was_just_made(tmp_path: Path) -> None:
+    old = {failed("old"): "3x30 3+1x60"}
+    new = {failed("old"): "3x90", failed("new"): "_x70 25x20"}
+    assert [len(told(tmp_path, "RevisitViewsFailing", 85, series)) for series in (old, new)] == [1, 1]
+
+
+def test_views_that_failed_before_a_map_was_one_of_the_others_are_not_told_anew(tmp_path: Path) -> None:
+    """Twenty maps have series of their own: one that others outgrow joins the series of the rest."""
+    joined = {failed("small"): "40x70 stale", failed("(other)"): "2x71 42x20"}
+    assert told(tmp_path, "RevisitViewsFailing", 85, joined) == []

@@ -59,7 +59,7 @@ def test_an_expression_is_whole_and_takes_rates_of_counters_alone(expression: st
     assert all(expression.count(a) == expression.count(b) for a, b in ("()", "{}", "[]"))
     for name in re.findall(r"\b(?:rate|increase)\((\w+)", expression):
         assert printed[name] in ("counter", "histogram"), name
-    for name in re.findall(r"\b(?:delta|deriv|predict_linear)\((\w+)", expression):
+    for name in re.findall(r"\b(?:delta|deriv|predict_linear)\((?:sum by \(\w+\) \()?(\w+)", expression):
         assert printed[name] == "gauge", name
 
 
