@@ -63,6 +63,14 @@ def test_an_expression_is_whole_and_takes_rates_of_counters_alone(expression: st
         assert printed[name] == "gauge", name
 
 
+@pytest.mark.parametrize("expression", expressions())
+def test_what_each_node_reads_of_one_database_is_not_summed_over_nodes(
+    expression: str, printed: dict[str, str]
+) -> None:
+    for labels, name in re.findall(r"\bsum(?: by \(([\w, ]+)\))? ?\((\w+)\{", expression):
+        assert printed[name] != "gauge" or "instance" in labels, name
+
+
 def test_every_alert_says_what_is_wrong_and_its_page_what_to_do() -> None:
     page = PAGE.read_text()
     headings = {heading.lower(): heading for heading in re.findall(r"^### (\w+)$", page, re.MULTILINE)}
