@@ -66,4 +66,5 @@ class Deadline:
     def _break(self) -> None:
         if self._socket is not None:
             with suppress(OSError):
-                self._socket.shutdown(SHUT_RDWR)
+                # That of the plain socket: with TLS, another thread that reads would find its TLS taken away.
+                socket.shutdown(self._socket, SHUT_RDWR)
