@@ -107,17 +107,27 @@ def make_provider() -> Any:
     Raises
     ------
     SetupError
-        OpenTelemetry is not installed, or an exporter is asked for that is not known here.
+        OpenTelemetry is not installed, an exporter is asked for that is not known here, or a variable has a value that
+        cannot be used.
     """
+    try:
+        return _provider()
+    except ValueError as error:
+        raise SetupError(f"a variable OTEL_* has a value that cannot be used: {error}") from None
+
+
+def _provider() -> Any:
     try:
         from opentelemetry.sdk.resources import SERVICE_NAME, Resource
         from opentelemetry.sdk.trace import TracerProvider
         from opentelemetry.sdk.trace.export import BatchSpanProcessor, ConsoleSpanExporter
     except ModuleNotFoundError:
         raise SetupError(EXTRA) from None
-    named = {} if os.environ.get("OTEL_SERVICE_NAME") else {SERVICE_NAME: "revisit"}
+    resource = Resource.create()
+    if str(resource.attributes[SERVICE_NAME]).startswith("unknown_service"):  # no variable names it
+        resource = resource.merge(Resource({SERVICE_NAME: "revisit"}))
     # `finish` sends what is left; at exit the exporter would take all the time it likes.
-    provider = TracerProvider(resource=Resource.create(named), shutdown_on_exit=False)
+    provider = TracerProvider(resource=resource, shutdown_on_exit=False)
     exporter = os.environ.get("OTEL_TRACES_EXPORTER", "otlp")
     if exporter == "otlp":
         try:

@@ -95,3 +95,25 @@ def test_without_the_packages_a_start_says_how_to_get_them(monkeypatch: pytest.M
                 SetupError, match="pip install opentelemetry-sdk opentelemetry-exporter-otlp-proto-http"
             ):
                 make_provider()
+
+
+@pytest.mark.parametrize(
+    ("variables", "name"),
+    [
+        ({}, "revisit"),
+        ({"OTEL_RESOURCE_ATTRIBUTES": "deployment.environment=prod,service.name=museum"}, "museum"),
+        ({"OTEL_RESOURCE_ATTRIBUTES": "service.name=museum", "OTEL_SERVICE_NAME": "places"}, "places"),
+    ],
+)
+def test_the_service_is_called_as_the_variables_say(
+    variables: dict[str, str], name: str, exporter: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable, value in {"OTEL_TRACES_EXPORTER": "none", **variables}.items():
+        monkeypatch.setenv(variable, value)
+    assert make_provider().resource.attributes["service.name"] == name
+
+
+def test_a_variable_that_cannot_be_used_is_told_at_the_start(exporter: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OTEL_BSP_MAX_EXPORT_BATCH_SIZE", "100000")
+    with pytest.raises(SetupError, match="OTEL_.*: max_export_batch_size"):
+        make_provider()
