@@ -115,5 +115,5 @@ def test_the_service_is_called_as_the_variables_say(
 
 def test_a_variable_that_cannot_be_used_is_told_at_the_start(exporter: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OTEL_BSP_MAX_EXPORT_BATCH_SIZE", "100000")
-    with pytest.raises(SetupError, match="OTEL_.*: max_export_batch_size"):
+    with pytest.raises(SetupError, match=r"OTEL_.*: max_export_batch_size"):
         make_provider()
