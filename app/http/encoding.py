@@ -155,6 +155,7 @@ async def server() -> dict[str, Any]:
 @router.get("/metrics")
 async def metrics(shared: Shared) -> Response:
     """Metrics in Prometheus's text format."""
+    shared.metrics.statistics.state = "draining" if shared.draining else "ready" if shared.started else "starting"
     return Response(shared.metrics.text(), media_type=METRICS_TYPE)
 
 

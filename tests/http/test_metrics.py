@@ -6,15 +6,20 @@ import re
 import threading
 
 import pytest
+from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
+from app.http.encoding import encoder_application
 from app.http.problems import KINDS
 from app.http.statistics import MAPS, OTHER, PATIENCE_S, StatisticsCollector, StatisticsReader
+from schemas.settings import read_settings
 from schemas.statistics import IndexLag, MapStatistics, ServiceStatistics, StoreStatistics
 from tests import waiting
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
+from worker.encoders.color import ColorEncoder
+from worker.service.encoding import EncodingService
 
 JPEG = {"content-type": "image/jpeg"}
 
@@ -46,6 +51,19 @@ def test_a_query_counts_its_verdict_and_its_bytes(client: CheckedClient) -> None
     assert found["revisit_http_request_bytes_total"][query] == len(photo())
     assert found["revisit_http_response_bytes_total"][query] == len(answer.content)
     assert found["revisit_http_requests_in_flight"] == {(): 1}  # this one
+
+
+def test_a_shared_encoder_says_its_state() -> None:
+    """Where it is watched as nodes are, the alert of those that do not become ready looks at it too."""
+    made = encoder_application(lambda told: EncodingService(ColorEncoder(), 4, told, 8, None), read_settings({}))
+    with TestClient(made) as client:
+        ready = samples(client.get("/metrics").text)["revisit_state"]
+        made.state.shared.drain()
+        draining = samples(client.get("/metrics").text)["revisit_state"]
+    assert [state for found in (ready, draining) for ((_, state),), value in found.items() if value] == [
+        "ready",
+        "draining",
+    ]
 
 
 def test_errors_are_counted_by_type_and_limits_by_reason(client: CheckedClient) -> None:
