@@ -70,3 +70,13 @@ def test_views_that_failed_before_a_map_was_one_of_the_others_are_not_told_anew(
     """Twenty maps have series of their own: one that others outgrow joins the series of the rest."""
     joined = {failed("small"): "40x70 stale", failed("(other)"): "2x71 42x20"}
     assert told(tmp_path, "RevisitViewsFailing", 85, joined) == []
+
+
+def test_a_queue_is_full_with_what_workers_have_taken(tmp_path: Path) -> None:
+    """Enrolments are refused by the number of those that are not described yet, also where many workers have some."""
+    limit = {'revisit_queue_limit{instance="a",job="revisit",queue="enrolments"}': "1000x20"}
+    jobs = 'revisit_jobs{{instance="a",job="revisit",kind="{}",state="{}"}}'.format
+    full = {jobs("describe", "waiting"): "520x20", jobs("describe", "running"): "480x20"} | limit
+    others = {jobs("describe", "waiting"): "520x20", jobs("redescribe", "waiting"): "9000x20"} | limit
+    said = "The queue of a is 100% full; a full one answers 429."
+    assert [told(tmp_path, "RevisitQueueFilling", 15, series) for series in (full, others)] == [[said], []]
