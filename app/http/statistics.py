@@ -45,10 +45,16 @@ class StatisticsReader:
         self._thread = ThreadPoolExecutor(1, "revisit-statistics")
         self._running: Future[ServiceStatistics | None] | None = None
         self._last: ServiceStatistics | None = None
-        self._gathered_at = self._due_at = 0.0
+        self._gathered_at: float | None = None
+        self._due_at = 0.0
 
     async def read(self) -> tuple[ServiceStatistics | None, float]:
-        """The statistics (None before the first) and their age in seconds; returns within `PATIENCE_S`."""
+        """The statistics (None before the first) and their age in seconds; returns within `PATIENCE_S`.
+
+        Before the first the age is that of the first call: how long they have been missing.
+        """
+        if self._gathered_at is None:
+            self._gathered_at = time.monotonic()
         if self._running is None and time.monotonic() >= self._due_at:
             self._running = self._thread.submit(self._timed)
         if self._running is not None:
@@ -83,7 +89,7 @@ class StatisticsCollector(Collector):
 
     def __init__(self) -> None:
         self.statistics: ServiceStatistics | None = None
-        self.age_s = 0.0
+        self.age_s: float | None = None
         self.live: LiveStatistics | None = None
         self.state = "starting"
         self.version: Version | None = None
@@ -116,7 +122,7 @@ class StatisticsCollector(Collector):
             limits.add_metric(["queries"], self.settings.queries)
         yield limits
         age = _gauge("statistics_age_seconds", "Age of the gauges that are read from the database.")
-        if self.statistics is not None:
+        if self.age_s is not None:
             age.add_metric([], self.age_s)
         yield age
 

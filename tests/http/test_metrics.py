@@ -136,6 +136,30 @@ def test_statistics_that_hang_leave_the_last_ones_and_never_the_caller() -> None
     asyncio.run(story())
 
 
+def test_statistics_that_were_never_gathered_age_from_the_first_call_on() -> None:
+    """As with a database that is damaged, or takes minutes: the alert of old figures goes by their age."""
+
+    def gather() -> ServiceStatistics:
+        raise OSError("the disk is gone")
+
+    async def story() -> None:
+        reader, collector = StatisticsReader(gather), StatisticsCollector()
+        assert _ages(collector) == []
+        collector.statistics, first = await reader.read()
+        await asyncio.sleep(0.05)
+        collector.statistics, collector.age_s = await reader.read()
+        assert collector.statistics is None
+        assert [first + 0.05 <= age < waiting.PATIENCE_S for age in _ages(collector)] == [True]
+        reader.close()
+
+    asyncio.run(story())
+
+
+def _ages(collector: StatisticsCollector) -> list[float]:
+    [age] = [family for family in collector.collect() if family.name == "revisit_statistics_age_seconds"]
+    return [sample.value for sample in age.samples]
+
+
 def test_statistics_that_fail_leave_the_last_ones_and_are_logged(caplog: pytest.LogCaptureFixture) -> None:
     answers: list[ServiceStatistics | Exception] = [many(1), OSError("the disk is gone"), many(2)]
 
