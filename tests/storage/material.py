@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import LeaseLost
 from schemas.image import ImageFacts
 from schemas.recipe import Channel, DescriptionParameters, DescriptionRecipe, MapRecipe, RankingConfig
@@ -90,7 +91,7 @@ def enroll(
 ) -> Submitted:
     """Enrol the image of that name."""
     body = image(name)
-    return store.enrolment.submit(map, body, facts(body), attributes, by, now)
+    return store.enrolment.submit(map, body, facts(body), attributes, EnrolmentOptions(now, by))
 
 
 def finish(store: SqlStore, claim: Claim, now: datetime = NOW) -> int:

@@ -6,6 +6,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.blur import BLUR_WORDS
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
 from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
@@ -28,7 +29,8 @@ def blurred(
     """Enrol the blurred version of the image of that name."""
     stored = image(f"{name} {version}")
     found = Covered(words, facts(image(name)).sha256)
-    return store.enrolment.submit("campus", stored, facts(stored), ViewAttributes(place), RECIPE, NOW, covered=found)
+    options = EnrolmentOptions(NOW, RECIPE)
+    return store.enrolment.submit("campus", stored, facts(stored), ViewAttributes(place), options, found)
 
 
 @pytest.fixture
@@ -62,8 +64,9 @@ def test_the_blurred_image_sent_back_is_its_view(campus: SqlStore, data: Path) -
 def test_two_images_of_which_the_same_is_left_are_one_view(campus: SqlStore) -> None:
     other = image("gate with a man")
     stored = image("gate blurred")
+    covered = Covered(PEOPLE, facts(other).sha256)
     same = campus.enrolment.submit(
-        "campus", stored, facts(stored), ViewAttributes(), RECIPE, NOW, covered=Covered(PEOPLE, facts(other).sha256)
+        "campus", stored, facts(stored), ViewAttributes(), EnrolmentOptions(NOW, RECIPE), covered
     )
     assert (same.created, len(views(campus))) == (False, 1)
 

@@ -3,6 +3,7 @@
 import pytest
 import sqlalchemy as sa
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import ViewDeleted
 from schemas.map_changes import MapChanges
 from schemas.records import Covered, Filters, JobProgress, MapClaim, ViewRecord
@@ -24,9 +25,8 @@ def imported(store: SqlStore, claim: MapClaim, name: str, sent: str | None = Non
     """The view of an image that an import enrols; `sent`: what was sent, where it was blurred to that image."""
     covered = None if sent is None else Covered(("car",), facts(image(sent)).sha256)
     body = image(name)
-    submitted = store.enrolment.submit(
-        "campus", body, facts(body), NO_ATTRIBUTES, None, NOW, covered=covered, job=claim
-    )
+    options = EnrolmentOptions(NOW, job=claim)
+    submitted = store.enrolment.submit("campus", body, facts(body), NO_ATTRIBUTES, options, covered)
     return submitted.view
 
 

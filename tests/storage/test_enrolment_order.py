@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.records import Filters, ViewAttributes
 from tests.storage.carried import made, views
 from tests.storage.conftest import Open
@@ -29,7 +30,8 @@ def at(store: SqlStore, number: int, wall_s: float, steady_s: float | None = Non
     """Enrol a view at a time of the machine's clock and a reading of the steady one; its id."""
     body = image(f"{number}")
     now = NOW + timedelta(seconds=wall_s)
-    return store.enrolment.submit(map_name, body, facts(body), ViewAttributes(), RECIPE, now, steady_s).view.id
+    options = EnrolmentOptions(now, RECIPE, steady_s)
+    return store.enrolment.submit(map_name, body, facts(body), ViewAttributes(), options).view.id
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -8,6 +8,7 @@ from threading import Thread
 import pytest
 import sqlalchemy as sa
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.records import Filters, ViewRecord
 from tests.storage.conftest import Open
@@ -77,7 +78,9 @@ def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_n
 def test_a_job_remembers_that_poor_images_are_refused(store: SqlStore) -> None:
     for name, wanted in (("gate", False), ("pond", True)):
         body = image(name)
-        store.enrolment.submit("campus", body, facts(body), NO_ATTRIBUTES, RECIPE, NOW, refuse_poor=wanted)
+        store.enrolment.submit(
+            "campus", body, facts(body), NO_ATTRIBUTES, EnrolmentOptions(NOW, RECIPE, refuse_poor=wanted)
+        )
     give_sign(store, "dying")
     assert [claim.refuse_poor for claim in store.jobs.claim("dying", 2)] == [False, True]
     store.workers.bury(["dying"], NOW)
@@ -130,7 +133,7 @@ def test_an_import_that_goes_on_takes_its_own_back(store: SqlStore) -> None:
     def submit(name: str, background: bool) -> ViewRecord:
         body = image(name)
         return store.enrolment.submit(
-            "campus", body, facts(body), NO_ATTRIBUTES, RECIPE, NOW, background=background
+            "campus", body, facts(body), NO_ATTRIBUTES, EnrolmentOptions(NOW, RECIPE, background=background)
         ).view
 
     own, foreign = submit("gate", background=True), submit("pond", background=False)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.records import Filters, JobProgress, ViewRecord
 from tests.storage.conftest import Open
@@ -320,7 +321,8 @@ def test_cancelling_what_tries_failed_views_again_leaves_what_was_enrolled(store
 def test_a_view_is_that_of_an_import_by_who_enrolled_it_first(store: SqlStore) -> None:
     """Whatever describes it later: a recipe switch is in the background as well."""
     ours, body = enroll(store, "gate").view, image("pond")
-    theirs = store.enrolment.submit("campus", body, facts(body), NO_ATTRIBUTES, None, NOW, background=True).view
+    options = EnrolmentOptions(NOW, background=True)
+    theirs = store.enrolment.submit("campus", body, facts(body), NO_ATTRIBUTES, options).view
     enroll(store, "pond")
     describe_all(store)
     store.jobs.switch_recipe("campus", PAPER, NOW)
@@ -342,14 +344,14 @@ def test_an_import_that_has_ended_enrols_nothing_into_a_map_of_that_name(
     claim = store.jobs.claim_map_job("worker", NOW)
     assert claim is not None
     body = image("gate")
-    told = facts(body), NO_ATTRIBUTES, None, NOW
-    store.enrolment.submit("campus", image("pond"), facts(image("pond")), *told[1:], job=claim)
+    told = facts(body), NO_ATTRIBUTES, EnrolmentOptions(NOW, job=claim)
+    store.enrolment.submit("campus", image("pond"), facts(image("pond")), *told[1:])
     if ended == "cancelled":
         store.jobs.cancel(job.id, NOW)
     else:
         store.removals.delete_map("campus")
         store.maps.put("campus", RECIPE, NOW)
     with pytest.raises(LeaseLost):
-        store.enrolment.submit("campus", body, *told, job=claim)
+        store.enrolment.submit("campus", body, *told)
     assert [view.image.sha256 for view in listed(store)] == [facts(image("pond")).sha256] * (ended == "cancelled")
     assert not [*data.glob(f"pictures/*/*/{told[0].sha256}")]

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import Conflict, InvalidParameters, LeaseLost, RecipeChanged
 from schemas.map_changes import MapChanges
 from schemas.recipe import MapRecipe, RankingConfig
@@ -269,7 +270,7 @@ def test_a_view_that_is_refused_as_poor_is_described_by_no_recipe(store: SqlStor
         store.jobs.switch_recipe("campus", PAPER, NOW)
     body = image("fog")
     fog = store.enrolment.submit(
-        "campus", body, facts(body), NO_ATTRIBUTES, RECIPE, NOW, background=True, refuse_poor=True
+        "campus", body, facts(body), NO_ATTRIBUTES, EnrolmentOptions(NOW, RECIPE, background=True, refuse_poor=True)
     ).view
     claims = {(claim.view.id, claim.recipe == PAPER.description): claim for claim in store.jobs.claim("worker", 9)}
     if first == "by the next recipe":

@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import Conflict, KeyReused, LeaseLost, NotFound
 from schemas.records import Filters, Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
@@ -395,5 +396,5 @@ def test_a_vocabulary_is_kept_under_its_digest(store: SqlStore) -> None:
 
 def test_an_image_of_wrong_digest_is_refused(store: SqlStore) -> None:
     with pytest.raises(ValueError, match="SHA-256"):
-        store.enrolment.submit("campus", b"one", facts(b"another"), ViewAttributes(), RECIPE, NOW)
+        store.enrolment.submit("campus", b"one", facts(b"another"), ViewAttributes(), EnrolmentOptions(NOW, RECIPE))
     assert store.maps.all() == []

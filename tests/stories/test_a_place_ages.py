@@ -14,6 +14,7 @@ import pytest
 from app.http.application import create_app
 from scenes import scene
 from schemas.ageing import DayScore
+from schemas.enrolment import EnrolmentOptions
 from schemas.image import ImageFacts
 from schemas.records import Position, ViewAttributes
 from tests.openapi import CheckedClient
@@ -48,7 +49,7 @@ class Town:
         body = photo(scene(name).seen_from(turn=turn))
         facts = ImageFacts(480, 360, len(body), "jpeg", hashlib.sha256(body).hexdigest())
         given, recipe = ViewAttributes(name, where), self.runtime.default_recipe
-        self.runtime.store.enrolment.submit(self.name, body, facts, given, recipe, then)
+        self.runtime.store.enrolment.submit(self.name, body, facts, given, EnrolmentOptions(then, recipe))
         assert self.runtime.loop is not None
         self.runtime.loop.wake()
 

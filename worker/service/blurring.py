@@ -3,17 +3,16 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Protocol
 
 import numpy as np
 
 from schemas.blur import BLUR_GROUPS, MOST_WORDS
 from schemas.description import Booleans, PixelField
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import BlurChanged, Conflict, InvalidParameters, NothingStatic
 from schemas.image import Image, ImageFacts
-from schemas.recipe import MapRecipe
-from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
+from schemas.records import Covered, Submitted, ViewAttributes, ViewRecord
 from worker.description.ports import Encoder
 from worker.description.presets import PRESETS
 from worker.description.scheduler import Scheduler
@@ -50,24 +49,17 @@ class Enrolment(Protocol):
         image: bytes,
         facts: ImageFacts,
         attributes: ViewAttributes,
-        recipe: MapRecipe | None,
-        now: datetime,
-        steady_s: float | None = None,
-        background: bool = False,
+        options: EnrolmentOptions,
         covered: Covered | None = None,
-        refuse_poor: bool = False,
-        job: MapClaim | None = None,
     ) -> Submitted:
-        """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
+        """Store an image durably and queue its description; creates the map, if `options` has a recipe for it.
 
-        `steady_s` is the reading of a steady clock at `now`; `background`: other enrolments are described first;
-        `covered`: what was blurred in the image, which is then not what was sent; `refuse_poor`: the view is to fail
-        where its description shows that the image is poor; `job`: which enrols it.
+        `covered`: what was blurred in the image, which is then not what was sent.
 
         Raises
         ------
         LeaseLost
-            That job was cancelled, or went with its map.
+            The job of `options` was cancelled, or went with its map.
         ViewDeleted
             The image was deleted while that job waited or ran.
         ImageEnrolled
@@ -212,17 +204,7 @@ class BlurringEnrolment:
         return self._enrolment.known(name, sha256, attributes)
 
     def submit(
-        self,
-        name: str,
-        data: bytes,
-        image: Image,
-        attributes: ViewAttributes,
-        recipe: MapRecipe | None,
-        now: datetime,
-        steady_s: float | None = None,
-        background: bool = False,
-        refuse_poor: bool = False,
-        job: MapClaim | None = None,
+        self, name: str, data: bytes, image: Image, attributes: ViewAttributes, options: EnrolmentOptions
     ) -> Submitted:
         """Store an image durably and queue its description; `image` is `data` decoded, not altered since.
 
@@ -240,13 +222,10 @@ class BlurringEnrolment:
             words = self._maps.blur(name)
             stored, told, found = data, image, None
             if words:
-                blurred = self._cover(image, words, waits=background)
+                blurred = self._cover(image, words, waits=options.background)
                 stored, told, found = blurred.data, blurred.image, Covered(words, image.digest)
             try:
-                submitted = self._enrolment.submit(
-                    name, stored, facts(told), attributes, recipe, now, steady_s,
-                    background=background, covered=found, refuse_poor=refuse_poor, job=job,
-                )  # fmt: skip
+                submitted = self._enrolment.submit(name, stored, facts(told), attributes, options, found)
                 if submitted.job_id is not None and found is None:
                     self._decoded.keep(image)
                 return submitted

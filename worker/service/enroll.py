@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import (
     Busy,
     Cancelled,
@@ -212,9 +213,8 @@ class EnrollService:
         if exif:
             attributes = completed(attributes, self._read_exif(data))
         recipe = self._default_recipe if makes_map else None
-        submitted = self._enrolment.submit(
-            map_name, data, image, attributes, recipe, datetime.now(UTC), steady.reading_s(), refuse_poor=refuses_poor
-        )
+        options = EnrolmentOptions(datetime.now(UTC), recipe, steady.reading_s(), refuse_poor=refuses_poor)
+        submitted = self._enrolment.submit(map_name, data, image, attributes, options)
         if submitted.job_id is not None:
             self._wake()
         expected_s = (waiting + 1) * self._pace_s() / max(1, workers)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import (
     Conflict,
     EncoderAway,
@@ -194,11 +195,11 @@ class Importer:
 
         Raises ViewDeleted, Conflict, LeaseLost, DiskFull, StorageFailed.
         """
+        options = EnrolmentOptions(
+            _now(), steady_s=steady.reading_s(), background=True, refuse_poor=refuse_poor, job=claim
+        )
         try:
-            submitted = self._enrolment.submit(
-                claim.map, data, image, attributes, None, _now(), steady.reading_s(), background=True,
-                refuse_poor=refuse_poor, job=claim,
-            )  # fmt: skip
+            submitted = self._enrolment.submit(claim.map, data, image, attributes, options)
         except NotFound as error:
             raise LeaseLost(error.detail) from None
         if submitted.job_id is not None:

@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from datetime import datetime
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import sqlalchemy as sa
 
+from schemas.enrolment import EnrolmentOptions
 from schemas.errors import BlurChanged, Damaged, ImageEnrolled, NotFound
 from schemas.image import ImageFacts
-from schemas.recipe import MapRecipe
-from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
+from schemas.records import Covered, Submitted, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock, deleted_images, switching
 from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
@@ -109,15 +109,10 @@ class Enrolment(Part):
         image: bytes,
         facts: ImageFacts,
         attributes: ViewAttributes,
-        recipe: MapRecipe | None,
-        now: datetime,
-        steady_s: float | None = None,
-        background: bool = False,
+        options: EnrolmentOptions,
         covered: Covered | None = None,
-        refuse_poor: bool = False,
-        job: MapClaim | None = None,
     ) -> Submitted:
-        """Store an image durably and queue its description; creates the map, if `recipe` is given.
+        """Store an image durably and queue its description; creates the map, if `options` has a recipe for it.
 
         For an image that the map has already, the result is its view, which is queued again if it had failed.
 
@@ -129,20 +124,9 @@ class Enrolment(Part):
             As it is to be stored.
         facts : ImageFacts
         attributes : ViewAttributes
-        recipe : MapRecipe or None
-            Of the map, if it is to be created.
-        now : datetime
-        steady_s : float or None
-            Reading of a steady clock at `now`, by which the time since the last enrolment is measured.
-        background : bool
-            Whether other enrolments are described first.
+        options : EnrolmentOptions
         covered : Covered or None
             What was blurred in the image; None where it is stored as it was sent.
-        refuse_poor : bool
-            Whether the view is to fail where its description shows that the image is poor.
-        job : MapClaim or None
-            The import that enrols the image. It is refused once it was cancelled or its map was deleted, even if there
-            is another map of that name.
 
         Raises
         ------
@@ -164,24 +148,23 @@ class Enrolment(Part):
             self._database.space.admit(len(image), image=True)
         with self._images.kept(facts.sha256, image) as hold, self._database.writing() as connection:
             hold.until_commit(connection)
-            claimed = None if job is None else held(connection, job)
+            claimed = None if options.job is None else held(connection, options.job)
             try:
                 row = find_map(connection, name)
             except NotFound:
-                if recipe is None:
+                if options.recipe is None:
                     raise
-                make_map(connection, name, recipe, now)
+                make_map(connection, name, options.recipe, options.now)
                 row = find_map(connection, name)
             if blur_of(row) != (() if covered is None else covered.words):
                 raise BlurChanged(f"what the map {name!r} blurs was changed meanwhile; try again")
             sent = facts.sha256 if covered is None else covered.sent_sha256
-            options = _JobOptions(now, background, refuse_poor)
             columns = {**fact_columns(facts), "sent_sha256": None if covered is None else sent}
             view = _same_image(connection, row.id, sent, facts.sha256)
             if view is None:
                 if claimed is not None:
                     deleted_images.refuse(connection, claimed.number, {sent, facts.sha256})
-                return self._enrol(connection, row, columns, attributes, options, steady_s)
+                return self._enrol(connection, row, columns, attributes, options)
             submitted = self._enrol_again(connection, row, view, columns, attributes, options)
         if row.drop_images or view.sha256 != facts.sha256:
             # What a view needs stays: where it is to be described, or where this image took the place of another.
@@ -206,10 +189,9 @@ class Enrolment(Part):
         row: sa.Row[Any],
         image: Mapping[str, Any],
         attributes: ViewAttributes,
-        options: "_JobOptions",
-        steady_s: float | None,
+        options: EnrolmentOptions,
     ) -> Submitted:
-        view_id, elapsed_us = self._order.following(connection, row.id, options.now, steady_s)
+        view_id, elapsed_us = self._order.following(connection, row.id, options.now, options.steady_s)
         columns = {
             "id": view_id,
             "map_id": row.id,
@@ -222,7 +204,7 @@ class Enrolment(Part):
             inserting(VIEWS), {**columns, "state": "pending", "checksum": checksums.of_row(VIEWS, columns)}
         )
         view = view_record(find_view(connection, view_id))
-        self._order.note(view.seq, elapsed_us, steady_s)
+        self._order.note(view.seq, elapsed_us, options.steady_s)
         keep_pairs(connection, view.seq, attributes)
         job = self._queue(connection, row, view.seq, options)
         return Submitted(view, job, created=True, revision=row.revision)
@@ -234,7 +216,7 @@ class Enrolment(Part):
         view: sa.Row[Any],
         image: Mapping[str, Any],
         attributes: ViewAttributes,
-        options: "_JobOptions",
+        options: EnrolmentOptions,
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
             set_aside_views(connection, [view.seq], options.now)  # nobody may have read it since it was damaged
@@ -286,7 +268,7 @@ class Enrolment(Part):
             return False
         return True
 
-    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, options: "_JobOptions") -> str:
+    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, options: EnrolmentOptions) -> str:
         """Queue the description of a view by the map's recipe and, in a recipe switch, by the next; returns the job."""
         job = switching.unfinished_job(connection, seq, row.recipe)
         if job is None:
@@ -296,11 +278,3 @@ class Enrolment(Part):
         if following is not None and not switching.needs_no_job(connection, seq, following):
             switching.queue(connection, row.id, [seq], following, options.now, background=True)
         return job
-
-
-class _JobOptions(NamedTuple):
-    """Of the job that describes an enrolled image; `now` is when both are stored."""
-
-    now: datetime
-    background: bool
-    refuse_poor: bool
