@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import TYPE_CHECKING, BinaryIO, Protocol
 
 from app.http import presenters, snapshot_presenters
 from app.http.calibration_report import calibration_report
@@ -20,18 +20,10 @@ from schemas.imports import ImportOptions
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PatchMap, PostCalibration, PutMap
 from worker.service import steady
-from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
-from worker.service.changes import ChangeService
-from worker.service.health import HealthService
-from worker.service.import_receiving import ImportService
-from worker.service.inbox import InboxService
-from worker.service.jobs import JobService
-from worker.service.maps import MapService
-from worker.service.proposals import ProposalService
-from worker.service.renderings import RenderingService
-from worker.service.shadows import ShadowService
-from worker.service.snapshots import SnapshotService
-from worker.service.views import ViewService
+from worker.service.calibrating import LabelledView, ObservedAnswer
+
+if TYPE_CHECKING:
+    from worker.runtime.services import Services
 
 RECEIVED_AT_ONCE = 1_000_000
 """Bytes of a recording that are written together."""
@@ -72,42 +64,13 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     Parameters
     ----------
-    views : ViewService
-    renderings : RenderingService
-    maps : MapService
-    jobs : JobService
-    calibrations : CalibrationService
-    health : HealthService
-    inbox : InboxService
-    proposals : ProposalService
-    snapshots : SnapshotService
+    services : Services
     calls : Calls
         Answers of calls with an Idempotency-Key.
-    imports : ImportService
-    shadows : ShadowService
-    changes : ChangeService
     """
 
-    def __init__(
-        self,
-        views: ViewService,
-        renderings: RenderingService,
-        maps: MapService,
-        jobs: JobService,
-        calibrations: CalibrationService,
-        health: HealthService,
-        inbox: InboxService,
-        proposals: ProposalService,
-        snapshots: SnapshotService,
-        calls: Calls,
-        imports: ImportService,
-        shadows: ShadowService,
-        changes: ChangeService,
-    ) -> None:
-        self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
-        self._calibrations, self._health, self._inbox, self._proposals = calibrations, health, inbox, proposals
-        self._snapshots, self._imports, self._shadows = snapshots, imports, shadows
-        self._changes = changes
+    def __init__(self, services: "Services", calls: Calls) -> None:
+        self._services, self._calls = services, calls
         self._long = LongWork()
         self._writes = LongWork(None, "revisit-writes")
         self._drawings = asyncio.Semaphore(DRAWN_AT_ONCE)
@@ -116,7 +79,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def view(self, view_id: str) -> wire.View:
         """One view."""
-        return presenters.labelled_view(await asyncio.to_thread(self._views.get, view_id))
+        return presenters.labelled_view(await asyncio.to_thread(self._services.views.get, view_id))
 
     async def views(
         self,
@@ -131,7 +94,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
     ) -> wire.Views:
         """A page of views; `among`: of these maps alone."""
         page = partial(
-            self._views.page, state=state, newest_first=newest_first, cursor=cursor, limit=limit, among=among
+            self._services.views.page, state=state, newest_first=newest_first, cursor=cursor, limit=limit, among=among
         )
         views, following = await asyncio.to_thread(page, map_name, filters)
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
@@ -140,55 +103,59 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self, map_name: str, filters: Filters, words: str, *, cursor: str | None, limit: int
     ) -> wire.Views:
         """A page of views by how much of them some labels are."""
-        page = partial(self._views.with_words, map_name, filters, words, cursor=cursor, limit=limit)
+        page = partial(self._services.views.with_words, map_name, filters, words, cursor=cursor, limit=limit)
         views, following = await asyncio.to_thread(page)
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
 
     async def dynamic_preview(self, map_name: str, labels: Sequence[str], limit: int) -> wire.DynamicPreview:
         """What would be left out of a map's views if these labels were dynamic."""
-        preview = await self._long.run(self._views.preview_dynamic, map_name, labels, limit)
+        preview = await self._long.run(self._services.views.preview_dynamic, map_name, labels, limit)
         return presenters.dynamic_preview(map_name, preview)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         """Replace the attributes of a view by `change` of them; the store does both in one transaction."""
-        return presenters.labelled_view(await self._writes.run(self._views.change, view_id, change))
+        return presenters.labelled_view(await self._writes.run(self._services.views.change, view_id, change))
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
         """Remove a view."""
-        return snapshot_presenters.removal(await self._writes.run(self._views.delete, view_id))
+        return snapshot_presenters.removal(await self._writes.run(self._services.views.delete, view_id))
 
     async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
         """Remove the views of a map that pass the filters."""
-        return snapshot_presenters.removal(await self._long.run(self._views.delete_matching, map_name, filters))
+        return snapshot_presenters.removal(
+            await self._long.run(self._services.views.delete_matching, map_name, filters)
+        )
 
     async def places(
         self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
     ) -> wire.Places:
         """A page of places; `among`: of these maps alone."""
-        rows, following = await asyncio.to_thread(self._views.places, map_name, cursor, limit, among)
+        rows, following = await asyncio.to_thread(self._services.views.places, map_name, cursor, limit, among)
         return wire.Places(places=[presenters.place(row) for row in rows], next=following)
 
     # images
 
     async def image(self, view_id: str) -> tuple[bytes, str]:
         """The enrolled bytes of a view's image, and their media type."""
-        return await asyncio.to_thread(self._renderings.image, view_id)
+        return await asyncio.to_thread(self._services.renderings.image, view_id)
 
     async def thumbnail(self, view_id: str, longest: int) -> bytes:
         """A JPEG of at most `longest` pixels on its longer side."""
-        return await asyncio.to_thread(self._renderings.thumbnail, view_id, longest)
+        return await asyncio.to_thread(self._services.renderings.thumbnail, view_id, longest)
 
     async def segmentation(self, view_id: str, overlay: bool, legend: bool) -> bytes:
         """The segmentation of a view as an indexed PNG, or blended over the photo, with or without a key."""
-        return await self._drawn(partial(self._renderings.segmentation, overlay=overlay, legend=legend), view_id)
+        return await self._drawn(
+            partial(self._services.renderings.segmentation, overlay=overlay, legend=legend), view_id
+        )
 
     def segmented_by(self) -> str:
         """The network whose labels a segmentation shows."""
-        return self._renderings.segmented_by
+        return self._services.renderings.segmented_by
 
     async def graph(self, view_id: str, legend: bool) -> bytes:
         """The context graph, drawn over the photo, with or without a key."""
-        return await self._drawn(partial(self._renderings.graph, legend=legend), view_id)
+        return await self._drawn(partial(self._services.renderings.graph, legend=legend), view_id)
 
     async def _drawn(self, draw: Callable[[str], bytes], view_id: str) -> bytes:
         """A drawing; while it waits for others, it keeps no thread from other long work and holds no photo."""
@@ -197,15 +164,15 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """An ETag that changes whenever the image does; `kind` names the image and its options."""
-        return f'"{await asyncio.to_thread(self._renderings.version, view_id, kind)}"'
+        return f'"{await asyncio.to_thread(self._services.renderings.version, view_id, kind)}"'
 
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
         """A PNG of what decided about a match."""
-        return await asyncio.to_thread(self._renderings.explanation, query_id, view_id)
+        return await asyncio.to_thread(self._services.renderings.explanation, query_id, view_id)
 
     async def maps_of_query(self, query_id: str) -> tuple[str, ...]:
         """The maps of an explained query; raises NotFound."""
-        return self._renderings.maps_of_query(query_id)
+        return self._services.renderings.maps_of_query(query_id)
 
     # maps
 
@@ -216,24 +183,24 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         """
 
         def as_json() -> str:
-            told = (presenters.map_facts(state).model_dump_json() for state in self._maps.all(among))
+            told = (presenters.map_facts(state).model_dump_json() for state in self._services.maps.all(among))
             return f'{{"maps":[{",".join(told)}]}}'
 
         return await asyncio.to_thread(as_json)
 
     async def map(self, name: str) -> wire.MapFacts:
         """One map."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.get, name))
+        return presenters.map_facts(await asyncio.to_thread(self._services.maps.get, name))
 
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         """Make a map, or give an empty one another recipe; returns the map and whether it is new."""
-        state, created = await asyncio.to_thread(self._maps.put, name, wanted_of(wanted))
+        state, created = await asyncio.to_thread(self._services.maps.put, name, wanted_of(wanted))
         return presenters.map_facts(state), created
 
     async def change_map(self, name: str, changes: PatchMap) -> wire.MapFacts:
         """Change what is given of a map, all of it or nothing."""
         change = partial(
-            self._maps.change,
+            self._services.maps.change,
             ranking=changes.ranking,
             blur=changes.blur,
             keep_images=changes.keep_images,
@@ -251,7 +218,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
             for q in labels.queries
         ]
         calibrate = partial(
-            self._calibrations.calibrate,
+            self._services.calibration.calibrate,
             recipe=labels.recipe,
             ranking=labels.ranking,
             within_m=labels.within,
@@ -261,22 +228,22 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def forget_calibration(self, name: str) -> wire.MapFacts:
         """Return a map to the shipped calibration."""
-        await asyncio.to_thread(self._calibrations.forget, name)
+        await asyncio.to_thread(self._services.calibration.forget, name)
         return await self.map(name)
 
     async def health(self, name: str, code: HealthCode | None, limit: int) -> wire.MapHealth:
         """What a map lacks or suffers from: at most `limit` findings of each kind, or of the kind `code`."""
-        return map_health(await self._long.run(self._health.of, name), code, limit)
+        return map_health(await self._long.run(self._services.health.of, name), code, limit)
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""
-        return snapshot_presenters.removal(await self._long.run(self._maps.delete, name))
+        return snapshot_presenters.removal(await self._long.run(self._services.maps.delete, name))
 
     # jobs
 
     async def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on a map's own views and describe them by it, in the background."""
-        return presenters.job(await asyncio.to_thread(self._maps.train_vocabulary, name))
+        return presenters.job(await asyncio.to_thread(self._services.maps.train_vocabulary, name))
 
     async def import_recording(
         self,
@@ -306,8 +273,8 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         BadBody, BodyTooLarge, DiskFull, StorageFailed
             Nothing of it is left.
         """
-        await asyncio.to_thread(self._imports.admit, name)
-        upload = await asyncio.to_thread(self._imports.receive, announced)
+        await asyncio.to_thread(self._services.imports.admit, name)
+        upload = await asyncio.to_thread(self._services.imports.receive, announced)
         try:
             pieces = bytearray()
             async for chunk in body:
@@ -316,14 +283,14 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
                     await asyncio.to_thread(upload.write, bytes(pieces))
                     pieces.clear()
             await asyncio.to_thread(upload.write, bytes(pieces))
-            charge(await self._long.run(self._imports.check, upload, options))
-            return presenters.job(await asyncio.to_thread(self._imports.accept, upload, name, options))
+            charge(await self._long.run(self._services.imports.check, upload, options))
+            return presenters.job(await asyncio.to_thread(self._services.imports.accept, upload, name, options))
         finally:
             await asyncio.to_thread(upload.discard)  # does nothing to one that was accepted
 
     async def job(self, job_id: str) -> wire.Job:
         """One job."""
-        return presenters.job(await asyncio.to_thread(self._jobs.get, job_id))
+        return presenters.job(await asyncio.to_thread(self._services.jobs.get, job_id))
 
     async def jobs(
         self,
@@ -336,50 +303,50 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         among: Collection[str] | None = None,
     ) -> wire.Jobs:
         """A page of jobs, newest first; `among`: of these maps alone."""
-        page = partial(self._jobs.page, kind=kind, state=state, cursor=cursor, limit=limit, among=among)
+        page = partial(self._services.jobs.page, kind=kind, state=state, cursor=cursor, limit=limit, among=among)
         records, following = await asyncio.to_thread(page, map_name)
         return wire.Jobs(jobs=[presenters.job(record) for record in records], next=following)
 
     async def cancel_job(self, job_id: str) -> wire.Job:
         """Cancel a job."""
-        return presenters.job(await asyncio.to_thread(self._jobs.cancel, job_id))
+        return presenters.job(await asyncio.to_thread(self._services.jobs.cancel, job_id))
 
     # snapshots
 
     async def make_snapshot(self, name: str) -> wire.Job:
         """Make a snapshot of a map, in the background."""
-        return presenters.job(await asyncio.to_thread(self._snapshots.queue, name))
+        return presenters.job(await asyncio.to_thread(self._services.snapshots.queue, name))
 
     async def snapshots(self) -> wire.Snapshots:
         """All snapshots."""
-        kept = await asyncio.to_thread(self._snapshots.all)
+        kept = await asyncio.to_thread(self._services.snapshots.all)
         return wire.Snapshots(snapshots=[snapshot_presenters.snapshot(record) for record in kept])
 
     async def snapshot(self, snapshot_id: str) -> wire.Snapshot:
         """One snapshot."""
-        return snapshot_presenters.snapshot(await asyncio.to_thread(self._snapshots.get, snapshot_id))
+        return snapshot_presenters.snapshot(await asyncio.to_thread(self._services.snapshots.get, snapshot_id))
 
     async def open_snapshot(self, snapshot_id: str) -> tuple[wire.Snapshot, BinaryIO]:
         """One snapshot, and its file for reading."""
         facts = await self.snapshot(snapshot_id)
-        return facts, await asyncio.to_thread(self._snapshots.open, snapshot_id)
+        return facts, await asyncio.to_thread(self._services.snapshots.open, snapshot_id)
 
     async def delete_snapshot(self, snapshot_id: str) -> wire.Snapshot:
         """Remove a snapshot."""
-        return snapshot_presenters.snapshot(await asyncio.to_thread(self._snapshots.delete, snapshot_id))
+        return snapshot_presenters.snapshot(await asyncio.to_thread(self._services.snapshots.delete, snapshot_id))
 
     async def receiving(self, name: str, size: int) -> Path:
         """Where a snapshot of `size` bytes is kept while it is received and restored; raises DiskFull."""
         await self.admit(size)
-        return await asyncio.to_thread(self._snapshots.receiving, name)
+        return await asyncio.to_thread(self._services.snapshots.receiving, name)
 
     async def admit(self, size: int) -> None:
         """Raise DiskFull unless there is room for so many bytes."""
-        await asyncio.to_thread(self._snapshots.admit, size)
+        await asyncio.to_thread(self._services.snapshots.admit, size)
 
     async def restore(self, path: Path, name: str | None, allow: Callable[[str], None]) -> wire.RestoredMap:
         """Make a map from a snapshot; see `SnapshotService.restore`."""
-        return snapshot_presenters.restored(await self._long.run(self._snapshots.restore, path, name, allow))
+        return snapshot_presenters.restored(await self._long.run(self._services.snapshots.restore, path, name, allow))
 
     # repeated calls
 

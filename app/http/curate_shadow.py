@@ -1,39 +1,41 @@
 """Use-cases for recipes of maps, and for the shadows that try them."""
 
 import asyncio
+from typing import TYPE_CHECKING
 
 from app.http import presenters
 from schemas import wire
 from schemas.requests import PostRecipe, PutMap
 from schemas.shadow import ShadowRecord
 from worker.description.presets import Wanted
-from worker.service.maps import MapService
-from worker.service.shadows import ShadowService
+
+if TYPE_CHECKING:
+    from worker.runtime.services import Services
 
 
 class RecipeCuration:
     """The part of `app.http.curate.Curator` that describes maps anew."""
 
-    _maps: MapService
-    _shadows: ShadowService
+    _services: "Services"
 
     async def switch_recipe(self, name: str, wanted: PostRecipe) -> wire.Job:
         """Describe a map's views by another recipe, in the background; with a shadow, until the map is told."""
+        maps = self._services.maps
         if wanted.shadow is None:
-            return presenters.job(await asyncio.to_thread(self._maps.switch_recipe, name, wanted_of(wanted)))
-        return presenters.job(await asyncio.to_thread(self._maps.begin_shadow, name, wanted_of(wanted), wanted.shadow))
+            return presenters.job(await asyncio.to_thread(maps.switch_recipe, name, wanted_of(wanted)))
+        return presenters.job(await asyncio.to_thread(maps.begin_shadow, name, wanted_of(wanted), wanted.shadow))
 
     async def shadow(self, name: str) -> wire.Shadow:
         """The shadow of a map."""
-        return shadow(await asyncio.to_thread(self._shadows.of, name))
+        return shadow(await asyncio.to_thread(self._services.shadows.of, name))
 
     async def switch_to_shadow(self, name: str) -> wire.Job:
         """Change a map over to its shadow."""
-        return presenters.job(await asyncio.to_thread(self._shadows.switch, name))
+        return presenters.job(await asyncio.to_thread(self._services.shadows.switch, name))
 
     async def discard_shadow(self, name: str) -> wire.Job:
         """Discard the shadow of a map."""
-        return presenters.job(await asyncio.to_thread(self._shadows.discard, name))
+        return presenters.job(await asyncio.to_thread(self._services.shadows.discard, name))
 
 
 def wanted_of(put: PutMap) -> Wanted:

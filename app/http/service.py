@@ -61,21 +61,7 @@ class Service:
         lifecycle.on_drain(recogniser.drain)
         return cls(
             recogniser,
-            Curator(
-                views=services.views,
-                renderings=services.renderings,
-                maps=services.maps,
-                jobs=services.jobs,
-                calibrations=services.calibration,
-                health=services.health,
-                inbox=services.inbox,
-                proposals=services.proposals,
-                snapshots=services.snapshots,
-                calls=runtime.store.calls,
-                imports=services.imports,
-                shadows=services.shadows,
-                changes=services.changes,
-            ),
+            Curator(services, runtime.store.calls),
             lifecycle,
             settings,
             services.keys,

@@ -14,10 +14,6 @@ from schemas import wire
 from schemas.records import ViewAttributes
 from tests import answers
 
-PARTS = (
-    *("views", "renderings", "maps", "jobs", "calibrations", "health", "inbox", "proposals", "snapshots", "calls"),
-    *("imports", "shadows", "changes"),
-)
 MANY = 50
 """More than asyncio has threads."""
 
@@ -40,10 +36,10 @@ def test_an_image_is_shown_while_many_wait_for_what_takes_long(
     part: str, method: str, call: Callable[[Curator], Awaitable[object]]
 ) -> None:
     ends = threading.Event()
-    parts = {name: Mock() for name in PARTS}
-    getattr(parts[part], method).side_effect = lambda *_, **__: ends.wait(30) and Mock()
-    parts["renderings"].image.return_value = b"image", "image/png"
-    curator = Curator(**parts)
+    parts = Mock()
+    getattr(getattr(parts, part), method).side_effect = lambda *_, **__: ends.wait(30) and Mock()
+    parts.renderings.image.return_value = b"image", "image/png"
+    curator = Curator(parts, parts.calls)
 
     async def meanwhile() -> tuple[bytes, str]:
         waiting = [asyncio.ensure_future(call(curator)) for _ in range(MANY)]
@@ -62,11 +58,9 @@ def test_an_image_is_shown_while_many_wait_for_what_takes_long(
 def test_other_long_work_is_done_while_many_wait_for_drawings(draw: Callable[[Curator], Awaitable[object]]) -> None:
     """Those that wait for their turn hold none of the threads in which long work is done."""
     ends = threading.Event()
-    parts = {name: Mock() for name in PARTS}
-    parts["renderings"].graph.side_effect = parts["renderings"].segmentation.side_effect = lambda *_, **__: ends.wait(
-        30
-    )
-    curator = Curator(**parts)
+    parts = Mock()
+    parts.renderings.graph.side_effect = parts.renderings.segmentation.side_effect = lambda *_, **__: ends.wait(30)
+    curator = Curator(parts, parts.calls)
 
     async def meanwhile() -> object:
         waiting = [asyncio.ensure_future(draw(curator)) for _ in range(MANY)]
@@ -78,7 +72,7 @@ def test_other_long_work_is_done_while_many_wait_for_drawings(draw: Callable[[Cu
             await asyncio.gather(*waiting)
 
     assert asyncio.run(meanwhile()) == "done"
-    assert parts["renderings"].graph.call_count + parts["renderings"].segmentation.call_count == MANY
+    assert parts.renderings.graph.call_count + parts.renderings.segmentation.call_count == MANY
 
 
 def test_a_list_is_given_while_many_enrolments_wait_for_the_store() -> None:
@@ -110,9 +104,9 @@ def test_thousands_of_maps_are_told_while_others_are_answered(monkeypatch: pytes
         return wire.MapFacts.model_validate(answers.map_facts(name))
 
     monkeypatch.setattr("app.http.presenters.map_facts", told)
-    parts = {name: Mock() for name in PARTS}
-    parts["maps"].all.return_value = ["attic", "campus"]
-    listed = asyncio.run(Curator(**parts).maps())
+    parts = Mock()
+    parts.maps.all.return_value = ["attic", "campus"]
+    listed = asyncio.run(Curator(parts, parts.calls).maps())
     assert [facts["name"] for facts in json.loads(listed)["maps"]] == ["attic", "campus"]
     assert len(told_in) == 2
     assert threading.get_ident() not in told_in
