@@ -86,11 +86,12 @@ def of_body(seq: int, recipe: str, body: bytes) -> int:
     return crc32(body, crc32(b"%d %b " % (seq, recipe.encode("utf-8", "surrogateescape"))))
 
 
-def is_whole(table: sa.Table, row: sa.Row[Any], checksum: object) -> bool:
-    """Whether a row that has all covered columns of a table fits a checksum; None is that of a row just written."""
+def is_whole(table: sa.Table, row: sa.Row[Any]) -> bool:
+    """Whether a row that has all columns of a table fits its checksum; None is that of a row just written."""
+    mapping = row._mapping
+    checksum: object = mapping[table.c.checksum]
     if checksum is None:
         return True
-    mapping = row._mapping
     try:
         return of_values(zip(COVERED[table.name], [mapping[one] for one in _columns(table)], strict=True)) == checksum
     except (OverflowError, UnicodeError):

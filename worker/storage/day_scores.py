@@ -79,7 +79,7 @@ class DayScores(Part):
                 if one.seq not in views:
                     continue  # the number of the view is damaged
                 view, days = views[one.seq]
-                if checksums.is_whole(DAY_SCORES, one, one.checksum):
+                if checksums.is_whole(DAY_SCORES, one):
                     days.append(DayScore(_EPOCH + timedelta(days=one.day), one.matches, one.total))
                 else:
                     log.error("view %s: its stored scores of one day are damaged; they are left out", view.id)
@@ -92,7 +92,7 @@ def _merge(connection: sa.Connection, map_id: int, basis: str, scores: Mapping[i
     old: dict[int, Days] = {int(seq): {} for seq in connection.scalars(there)}
     gone: list[dict[str, int]] = []
     for row in connection.execute(sa.select(DAY_SCORES).where(DAY_SCORES.c.seq.in_(list(old)))):
-        if row.basis == basis and checksums.is_whole(DAY_SCORES, row, row.checksum):
+        if row.basis == basis and checksums.is_whole(DAY_SCORES, row):
             old[row.seq][row.day] = row.matches, row.total
         else:
             gone.append({"of_seq": row.seq, "of_day": row.day})

@@ -75,7 +75,7 @@ def row_findings(engine: sa.Engine, owners: dict[str, str]) -> Iterator[Finding]
             for row in scan(connection, table):
                 if isinstance(row, Finding):
                     yield row
-                elif row.checksum is None or not checksums.is_whole(table, row, row.checksum):
+                elif _is_damaged(table, row):
                     yield _dispensable(table, row)
         yield from _keys(connection)
         for row in scan(connection, VOCABULARIES):
@@ -115,6 +115,11 @@ def scan(connection: sa.Connection, table: sa.TableClause) -> Iterator[Any]:
                 )
 
 
+def _is_damaged(table: sa.Table, row: sa.Row[Any]) -> bool:
+    """Whether a row lacks its checksum or does not fit it."""
+    return row.checksum is None or not checksums.is_whole(table, row)
+
+
 def _clock(connection: sa.Connection) -> Iterator[Finding]:
     row = connection.execute(sa.select(CLOCK)).one_or_none()
     highest = max(
@@ -127,7 +132,7 @@ def _clock(connection: sa.Connection) -> Iterator[Finding]:
         connection.execute(sa.insert(CLOCK).values(id=1, revision=int(highest) + 1))
         return f"set to {int(highest) + 1}"
 
-    if row is None or row.checksum is None or not checksums.is_whole(CLOCK, row, row.checksum):
+    if row is None or _is_damaged(CLOCK, row):
         yield Finding("clock of revisions", "is missing or damaged", REPAIR, mend)
     elif row.revision < highest:
         yield Finding("clock of revisions", f"is at {row.revision}, behind revision {highest}", REPAIR, mend)
@@ -148,7 +153,7 @@ def _maps(connection: sa.Connection) -> Iterator[Finding]:
     last = (now,) if isinstance(now, int) else ()
     for row in connection.execute(sa.select(MAPS)):
         where = f"map {row.name!r}"
-        if row.checksum is None or not checksums.is_whole(MAPS, row, row.checksum):
+        if _is_damaged(MAPS, row):
             yield Finding(where, "its settings do not fit their checksum", REPAIR, _mend_map(row))
         elif not _are_in_order(row.anew, row.revision, *last) or not _are_in_order(row.edited, row.revision):
             of = f"{row.revision}, {row.anew} and {row.edited}"
@@ -166,7 +171,7 @@ def _are_in_order(*revisions: object) -> bool:
 def _has_job(connection: sa.Connection, row: sa.Row[Any]) -> bool:
     """Whether the job of a map's shadow is there, and can still end as one that is compared."""
     job = connection.execute(sa.select(JOBS).where(JOBS.c.id == row.shadow, JOBS.c.map_id == row.id)).one_or_none()
-    if job is None or row.next_recipe is None or not checksums.is_whole(JOBS, job, job.checksum):
+    if job is None or row.next_recipe is None or not checksums.is_whole(JOBS, job):
         return False
     return job.state not in ("failed", "cancelled")
 
@@ -317,7 +322,7 @@ def _keys(connection: sa.Connection) -> Iterator[Finding]:
     for row in scan(connection, KEYS):
         if isinstance(row, Finding):
             yield row
-        elif row.checksum is None or not checksums.is_whole(KEYS, row, row.checksum):
+        elif _is_damaged(KEYS, row):
 
             def mend(connection: sa.Connection, key_id: str = row.id) -> str:
                 connection.execute(sa.update(KEYS).where(KEYS.c.id == key_id).values(revoked_at=datetime.now(UTC)))

@@ -112,7 +112,7 @@ def needs_image(connection: sa.Connection) -> sa.ColumnElement[bool]:
 def _forgetting(connection: sa.Connection) -> list[int]:
     """Maps that keep no images. Only whole rows count: a flipped bit must not cost a map its images."""
     rows = connection.execute(sa.select(MAPS).where(MAPS.c.drop_images.is_(True)))
-    return [row.id for row in rows if checksums.is_whole(MAPS, row, row.checksum)]
+    return [row.id for row in rows if checksums.is_whole(MAPS, row)]
 
 
 def needed_by_views(database: Database, digests: list[str]) -> set[str]:

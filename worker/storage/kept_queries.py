@@ -123,7 +123,7 @@ class KeptQueries(Part):
         with self._database.reading() as connection:
             own = KEPT_QUERIES.c.map_id == find_map(connection, name).id
             row = connection.execute(sa.select(KEPT_QUERIES).where(own, KEPT_QUERIES.c.id == query_id)).one_or_none()
-        if row is None or not checksums.is_whole(KEPT_QUERIES, row, row.checksum):
+        if row is None or not checksums.is_whole(KEPT_QUERIES, row):
             raise NotFound("kept query", query_id)
         return bytes(row.image)
 
@@ -142,7 +142,7 @@ class KeptQueries(Part):
 
 def _kept(row: sa.Row[Any]) -> KeptQuery:
     """A kept query from its row; raises ValueError when that is damaged."""
-    if not checksums.is_whole(KEPT_QUERIES, row, row.checksum):
+    if not checksums.is_whole(KEPT_QUERIES, row):
         raise ValueError("the row does not fit its checksum")
     features = None if row.keypoints is None else unpack_keypoints(row.keypoints)
     return KeptQuery(row.id, row.recipe, row.queried_at, unpack_floats(row.vectors), features, row.seq, row.score)

@@ -330,7 +330,7 @@ def record_of(connection: sa.Connection, job_id: str) -> JobRecord:
 
 
 def _of_row(connection: sa.Connection, row: sa.Row[Any]) -> JobRecord:
-    if not checksums.is_whole(JOBS, row, row._mapping[JOBS.c.checksum]):
+    if not checksums.is_whole(JOBS, row):
         return _damaged_record(row)
     result: Mapping[str, Any] | None = None if row.result is None else json.loads(row.result)
     return JobRecord(

@@ -121,7 +121,7 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
     ranking, calibration = ranking_of(row.ranking), row.calibration
     keep, keep_matches = row.keep_queries or 0, row.keep_matches or 0
     refuse_poor, keep_images, shadow = bool(row.refuse_poor), not row.drop_images, row.shadow
-    if not checksums.is_whole(MAPS, row, row.checksum):
+    if not checksums.is_whole(MAPS, row):
         calibration = None  # the shipped one is right for every map, if less sharp
         keep, keep_matches, refuse_poor, keep_images, shadow = 0, 0, False, True, None
         log.error(

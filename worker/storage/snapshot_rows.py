@@ -93,7 +93,7 @@ def comparison_lines(
             .encode()
             + b"\n"
             for row in portion
-            if row.seq not in left_out and checksums.is_whole(COMPARISONS, row, row.checksum)
+            if row.seq not in left_out and checksums.is_whole(COMPARISONS, row)
         ]
 
 
