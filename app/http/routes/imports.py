@@ -1,9 +1,9 @@
 """`POST /maps/{map}/imports`: enrol the images of a recording."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
-from fastapi.responses import JSONResponse, Response
+from fastapi.responses import Response
 from python_multipart.multipart import parse_options_header
 
 from app.http.dependencies import Curates, MapName, checked
@@ -11,6 +11,7 @@ from app.http.import_parameters import ImportParameters
 from app.http.notes import note
 from app.http.openapi import refusals
 from app.http.rate_limits import charge_images
+from app.http.started import STARTED, started
 from schemas.errors import BadBody
 from schemas.wire import Job
 
@@ -22,7 +23,6 @@ VIDEOS = ("video/mp4", "video/quicktime", "video/webm", "video/x-matroska", "vid
 TYPES = (*ARCHIVES, *VIDEOS, BAG, "application/octet-stream")
 """Names of what is taken; what a body is, its content says."""
 
-_STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
 _FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip archive of images, a video, or MCAP."}}
 
 
@@ -31,7 +31,7 @@ _FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip 
     status_code=202,
     response_model=Job,
     openapi_extra={"requestBody": {"required": True, "content": dict.fromkeys(TYPES, _FILE)}},
-    responses={202: _STARTED, **refusals("malformed-body", "conflict", "body-too-large", "disk-full")},
+    responses={**STARTED, **refusals("malformed-body", "conflict", "body-too-large", "disk-full")},
 )
 async def import_recording(
     name: MapName, params: Annotated[ImportParameters, Query()], request: Request, curator: Curates
@@ -51,4 +51,4 @@ async def import_recording(
         params.options(),
     )
     note(job_ids=[job.id])
-    return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})
+    return started(job)

@@ -1,6 +1,6 @@
 """`/maps`: make, show, change, re-describe and delete maps."""
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
@@ -12,6 +12,7 @@ from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.snapshot_presenters import allowed
+from app.http.started import STARTED, started
 from app.http.validation import Parameters, validated
 from schemas.errors import InvalidParameters
 from schemas.requests import PatchMap, PostCalibration, PostRecipe, PutMap
@@ -24,8 +25,6 @@ router = APIRouter(tags=["maps"], dependencies=[*checked, no_parameters])
 
 MOST_LABELS = 2 * 1024 * 1024
 """Bytes of the largest body with labelled queries: 5,000 take some 500 kB."""
-
-_STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
 
 
 class PreviewParameters(Parameters):
@@ -107,14 +106,14 @@ async def delete_map(name: MapName, curator: Curates, access: Accesses) -> Delet
     status_code=202,
     response_model=Job,
     openapi_extra=takes_map(PostRecipe, shadow=100),
-    responses={202: _STARTED, **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full")},
+    responses={**STARTED, **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full")},
 )
 async def switch_recipe(name: MapName, request: Request, curator: Curates) -> Response:
     """Describe all views of a map by another recipe; until that is done, queries use the old one.
 
     With `shadow` the map goes on with the old one, and both answer queries, until it is told which stays.
     """
-    return _started(await curator.switch_recipe(name, await _body(request, PostRecipe)))
+    return started(await curator.switch_recipe(name, await _body(request, PostRecipe)))
 
 
 @previews.get("/maps/{map}/dynamic", response_model=DynamicPreview, responses=refusals("not-found", "conflict"))
@@ -129,11 +128,11 @@ async def preview_dynamic(
     "/maps/{map}/vocabulary",
     status_code=202,
     response_model=Job,
-    responses={202: _STARTED, **refusals("not-found", "conflict", "disk-full")},
+    responses={**STARTED, **refusals("not-found", "conflict", "disk-full")},
 )
 async def train_vocabulary(name: MapName, curator: Curates) -> Response:
     """Train a vocabulary on the map's own views, then describe them by it."""
-    return _started(await curator.train_vocabulary(name))
+    return started(await curator.train_vocabulary(name))
 
 
 @router.post(
@@ -157,7 +156,3 @@ async def calibrate(name: MapName, request: Request, curator: Curates) -> Calibr
 async def forget_calibration(name: MapName, curator: Curates) -> MapFacts:
     """Return the map to the shipped calibration."""
     return await curator.forget_calibration(name)
-
-
-def _started(job: Job) -> Response:
-    return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})

@@ -1,10 +1,11 @@
 """`/maps/{map}/shadow`: a recipe beside that of a map: shown, switched to, discarded."""
 
 from fastapi import APIRouter
-from fastapi.responses import JSONResponse, Response
+from fastapi.responses import Response
 
 from app.http.dependencies import Curates, MapName, checked, no_parameters
 from app.http.openapi import refusals
+from app.http.started import STARTED, started
 from schemas.wire import Job, Shadow
 
 router = APIRouter(tags=["maps"], dependencies=[*checked, no_parameters])
@@ -20,18 +21,14 @@ async def get_shadow(name: MapName, curator: Curates) -> Shadow:
     "/maps/{map}/shadow/switch",
     status_code=202,
     response_model=Job,
-    responses={
-        202: {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}},
-        **refusals("not-found", "conflict", "disk-full"),
-    },
+    responses={**STARTED, **refusals("not-found", "conflict", "disk-full")},
 )
 async def switch_to_shadow(name: MapName, curator: Curates) -> Response:
     """Change a map over to its shadow, in one transaction.
 
     The job is done at once, but for views that were enrolled a moment ago: it waits until they are described too.
     """
-    job = await curator.switch_to_shadow(name)
-    return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})
+    return started(await curator.switch_to_shadow(name))
 
 
 @router.delete("/maps/{map}/shadow", response_model=Job, responses=refusals("not-found", "disk-full"))

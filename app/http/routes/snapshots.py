@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from typing import Annotated, Any, BinaryIO
 
 from fastapi import APIRouter, Query, Request
-from fastapi.responses import JSONResponse, Response, StreamingResponse
+from fastapi.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from app.http.body import has_body
@@ -19,6 +19,7 @@ from app.http.openapi import answers_bytes, refusals
 from app.http.parameters import RestoreParameters
 from app.http.ranges import wanted
 from app.http.receiving import received
+from app.http.started import STARTED, started
 from schemas.errors import BadBody, NotFound
 from schemas.wire import Job, RestoredMap, Snapshot, Snapshots
 
@@ -30,7 +31,6 @@ CHUNK = 1 << 20
 END = 2048
 """Bytes at the end of a snapshot, in which the SHA-256 of all that is before them stands."""
 
-_STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _TEXT = {"schema": {"type": "string"}}
 _PART: dict[str, Any] = {
@@ -60,15 +60,14 @@ _RANGES = [
     status_code=202,
     response_model=Job,
     dependencies=[no_parameters],
-    responses={202: _STARTED, **refusals("not-found", "conflict", "disk-full")},
+    responses={**STARTED, **refusals("not-found", "conflict", "disk-full")},
 )
 async def make_snapshot(name: MapName, curator: Curates) -> Response:
     """Make a snapshot of a map in the background: a file of its views, images, descriptions, and what it learned.
 
     It holds the map as it is when the job begins. `GET /snapshots/{id}` gives it under the id of the job.
     """
-    job = await curator.make_snapshot(name)
-    return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})
+    return started(await curator.make_snapshot(name))
 
 
 @router.get("/snapshots", response_model=Snapshots, dependencies=[no_parameters], responses=refusals())
