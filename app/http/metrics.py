@@ -17,6 +17,7 @@ from prometheus_client import (
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 
 from app.http.statistics import StatisticsCollector
+from schemas.wire import QueryAnswer
 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 
@@ -114,9 +115,10 @@ class Metrics:
         if code in LIMITS:
             self._rejected.labels(limit or LIMITS[code]).inc()
 
-    def verdict(self, status: str, reason: str) -> None:
-        """Count the answer to a query."""
-        self._verdicts.labels(status, reason).inc()
+    def queried(self, answer: QueryAnswer) -> None:
+        """Count the answer to a query, and record its stages."""
+        self._verdicts.labels(answer.status, answer.reason.code).inc()
+        self.stages("query", answer.timing_ms)
 
     def event(self, teller: str, outcome: str) -> None:
         """Count what became of an event that a teller was given."""

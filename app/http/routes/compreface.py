@@ -247,8 +247,7 @@ async def _query(request: Request, name: str, recogniser: Recogniser, metrics: M
     _, image = await shapes.one_image(request)
     async with caller_of(request) as caller:
         answer = await recogniser.query(image, name, options=QueryOptions(top=10), caller=caller)
-    metrics.stages("query", answer.timing_ms)
-    metrics.verdict(answer.status, answer.reason.code)
+    metrics.queried(answer)
     return answer
 
 

@@ -91,8 +91,7 @@ async def localize(
     async with caller_of(request) as caller:
         image = await asyncio.to_thread(wanted.image)
         answer = await recogniser.query(image, params.map, options=options, caller=caller)
-    metrics.stages("query", answer.timing_ms)
-    metrics.verdict(answer.status, answer.reason.code)
+    metrics.queried(answer)
     try:
         return _answer(oscp_answer(wanted.id, time.time_ns() // 1_000_000, answer), 200)
     except NoPose as nothing:

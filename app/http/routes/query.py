@@ -72,8 +72,7 @@ async def query(
     )
     async with caller_of(request) as caller:
         answer = await recogniser.query(sent.images[0][1], *params.searched(), options=options, caller=caller)
-        metrics.stages("query", answer.timing_ms)
-        metrics.verdict(answer.status, answer.reason.code)
+        metrics.queried(answer)
         if params.changes:
             caller.check()  # it has photos encoded
             answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
