@@ -73,6 +73,12 @@ def has_body(scope: Scope) -> bool:
     return headers.get("content-length", "0").strip("0") != "" or "transfer-encoding" in headers
 
 
+def announced_bytes(headers: Headers) -> int:
+    """How long a request says that its body is; 0 where it does not say."""
+    announced = headers.get("content-length", "")
+    return int(announced) if announced.isdigit() else 0
+
+
 async def refuse_body(request: Request) -> None:
     """Raise UnexpectedBody when a request has a body that is not empty; reads it no further than its first bytes."""
     if not has_body(request.scope):

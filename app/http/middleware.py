@@ -11,7 +11,7 @@ from typing import Any
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.http.body import has_body
+from app.http.body import announced_bytes, has_body
 from app.http.limits import CROWDED, SLOWEST_BYTES_S
 from app.http.metrics import Metrics
 from app.http.notes import Notes, noting
@@ -238,15 +238,16 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         most = self._most_imported if _IMPORTS.fullmatch(scope["path"]) else self._most
-        announced = Headers(scope=scope).get("content-length", "")
+        headers = Headers(scope=scope)
+        announced = announced_bytes(headers)
         bounded = (scope["method"], scope["path"]) not in STREAMED
-        packed = _PACKED.search(Headers(scope=scope).get("content-encoding", ""))
+        packed = _PACKED.search(headers.get("content-encoding", ""))
         if packed is not None and has_body(scope):
             detail = f"the body is packed (Content-Encoding: {packed[0]}); send it unpacked, without that header"
             await refuse(BadBody("malformed-body", detail), scope, receive, send)
             return
-        if bounded and announced.isdigit() and int(announced) > most:
-            await refuse(_too_large(f"{int(announced):,}", most), scope, receive, send)
+        if bounded and announced > most:
+            await refuse(_too_large(f"{announced:,}", most), scope, receive, send)
             return
         received = 0
         complete = not has_body(scope)

@@ -20,6 +20,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.body import announced_bytes
 from app.http.notes import note
 from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS
@@ -138,8 +139,7 @@ class RateLimit:
         if not shares:
             await self._app(scope, receive, send)
             return
-        announced = Headers(scope=scope).get("content-length", "")
-        sent = int(announced) if announced.isdigit() else 0
+        sent = announced_bytes(Headers(scope=scope))
         encoded_on = _IMAGES_ON if scope["method"] == "POST" else _COMPARED_ON
         image = encoded_on.fullmatch(scope["path"]) is not None
         costs = {"requests": 1, "images": int(image), "bytes": sent}

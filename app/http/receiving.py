@@ -9,6 +9,8 @@ from typing import Protocol
 
 from starlette.requests import Request
 
+from app.http.body import announced_bytes
+
 BUFFER = 1 << 20
 
 LOOK_EVERY = 64 << 20
@@ -30,8 +32,7 @@ class Receiver(Protocol):
 @asynccontextmanager
 async def received(request: Request, receiver: Receiver) -> AsyncIterator[Path]:
     """Receive the body of a request into a file, which exists during the block; raises DiskFull."""
-    announced = request.headers.get("content-length", "")
-    path = await receiver.receiving(uuid.uuid4().hex, int(announced) if announced.isdigit() else 0)
+    path = await receiver.receiving(uuid.uuid4().hex, announced_bytes(request.headers))
     try:
         with path.open("xb") as file:
             buffer, looked = bytearray(), 0

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from python_multipart.multipart import parse_options_header
 
+from app.http.body import announced_bytes
 from app.http.dependencies import Curates, MapName, checked
 from app.http.import_parameters import ImportParameters
 from app.http.notes import note
@@ -42,11 +43,10 @@ async def import_recording(
         sent = f"of the type {kind}" if kind else "without a content type"
         wanted = f"send a zip archive ({ARCHIVES[0]}), a video ({VIDEOS[0]}) or MCAP ({BAG})"
         raise BadBody("malformed-body", f"the body is {sent}; {wanted}")
-    announced = request.headers.get("content-length", "")
     job = await curator.import_recording(
         name,
         request.stream(),
-        int(announced) if announced.isdigit() else 0,
+        announced_bytes(request.headers),
         lambda images: charge_images(request, images + 1),  # an upload is no image by itself
         params.options(),
     )
