@@ -14,6 +14,7 @@ from app.http.curate_kept import KeptQueryCuration
 from app.http.curate_shadow import RecipeCuration, wanted_of
 from app.http.health_report import map_health
 from app.http.long_work import LongWork
+from app.http.receiving import in_pieces
 from schemas import wire
 from schemas.health import Code as HealthCode
 from schemas.imports import ImportOptions
@@ -24,9 +25,6 @@ from worker.service.calibrating import LabelledView, ObservedAnswer
 
 if TYPE_CHECKING:
     from worker.runtime.services import Services
-
-RECEIVED_AT_ONCE = 1_000_000
-"""Bytes of a recording that are written together."""
 
 
 class Calls(Protocol):
@@ -276,13 +274,8 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         await asyncio.to_thread(self._services.imports.admit, name)
         upload = await asyncio.to_thread(self._services.imports.receive, announced)
         try:
-            pieces = bytearray()
-            async for chunk in body:
-                pieces += chunk
-                if len(pieces) >= RECEIVED_AT_ONCE:
-                    await asyncio.to_thread(upload.write, bytes(pieces))
-                    pieces.clear()
-            await asyncio.to_thread(upload.write, bytes(pieces))
+            async for piece in in_pieces(body):
+                await asyncio.to_thread(upload.write, piece)
             charge(await self._long.run(self._services.imports.check, upload, options))
             return presenters.job(await asyncio.to_thread(self._services.imports.accept, upload, name, options))
         finally:

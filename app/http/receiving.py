@@ -11,7 +11,8 @@ from starlette.requests import Request
 
 from app.http.body import announced_bytes
 
-BUFFER = 1 << 20
+PIECE_BYTES = 1 << 20
+"""Bytes that are written together."""
 
 LOOK_EVERY = 64 << 20
 """Bytes after which is looked again whether the disk has room."""
@@ -29,23 +30,30 @@ class Receiver(Protocol):
         ...
 
 
+async def in_pieces(body: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """A body in pieces that are worth a thread to write them."""
+    piece = bytearray()
+    async for chunk in body:
+        piece += chunk
+        if len(piece) >= PIECE_BYTES:
+            yield bytes(piece)
+            piece.clear()
+    yield bytes(piece)
+
+
 @asynccontextmanager
 async def received(request: Request, receiver: Receiver) -> AsyncIterator[Path]:
     """Receive the body of a request into a file, which exists during the block; raises DiskFull."""
     path = await receiver.receiving(uuid.uuid4().hex, announced_bytes(request.headers))
     try:
         with path.open("xb") as file:
-            buffer, looked = bytearray(), 0
-            async for chunk in request.stream():
-                buffer += chunk
-                if len(buffer) >= BUFFER:
-                    await asyncio.to_thread(file.write, bytes(buffer))
-                    looked += len(buffer)
-                    buffer.clear()
-                if looked >= LOOK_EVERY:
-                    await receiver.admit(looked)
-                    looked = 0
-            await asyncio.to_thread(file.write, bytes(buffer))
+            written = 0
+            async for piece in in_pieces(request.stream()):
+                if written >= LOOK_EVERY:
+                    await receiver.admit(written)
+                    written = 0
+                await asyncio.to_thread(file.write, piece)
+                written += len(piece)
         yield path
     finally:
         await asyncio.to_thread(path.unlink, missing_ok=True)
