@@ -18,8 +18,9 @@ from worker.storage.examining_objects import last_sign, object_findings
 from worker.storage.examining_rows import row_findings
 from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
 from worker.storage.image_store import needed_among
+from worker.storage.known_images import KnownImages
 from worker.storage.ownership import id_of, is_new
-from worker.storage.signs import is_elsewhere
+from worker.storage.signs import Sign, is_elsewhere
 from worker.storage.tables import METADATA
 
 STOP = f"stop the service, then {REPAIR}; if that cannot, {BACKUP}"
@@ -47,41 +48,43 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
     if not data.is_dir() or not os.access(data, os.R_OK | os.X_OK):
         yield Finding(str(data), "is no folder that can be read", "see REVISIT_DATA, or restore a backup")
         return
-    owners: dict[str, str] | None = None
-    own: str | None = None
-    new = False
+    known = KnownImages(running)
     sign = None if images is None else last_sign(images)  # before the count that it is compared with
-    elsewhere = False
     path = database_file(url)
     if path is not None and (blocked := file_finding(path)) is not None:
         yield blocked
     else:
         if path is not None and not running:
             yield from _log_findings(path)
-        engine = dialect.make_reader(url)
-        try:
-            damage = list(structure_findings(engine))
-            yield from damage
-            if not any(finding.where == "database" for finding in damage):
-                tables = list(_table_findings(engine))
-                yield from tables
-                if not tables:
-                    owners = {}
-                    with engine.connect() as connection:
-                        own, elsewhere = id_of(connection), is_elsewhere(sign, connection)
-                        new = is_new(connection)
-                    yield from row_findings(engine, owners)
-        except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
-            yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
-            owners = None
-        finally:
-            engine.dispose()
-    # Of a service that runs some views are deleted after they were read, and their images with them.
-    needed = partial(_needed_now, url) if running and owners is not None else None
-    if images is None:
-        yield from image_findings(data / "pictures", owners, own, running=running, new=new, needed=needed)
-    else:
-        yield from object_findings(images, owners, own, running=running, elsewhere=elsewhere, new=new, needed=needed)
+        yield from _database_findings(url, sign, known)
+    if running and known.owners is not None:
+        # Of a service that runs some views are deleted after they were read, and their images with them.
+        known.needed = partial(_needed_now, url)
+    yield from image_findings(data / "pictures", known) if images is None else object_findings(images, known)
+
+
+def _database_findings(url: str, sign: Sign | None, known: KnownImages) -> Iterator[Finding]:
+    """Findings of the database; fills `known`."""
+    engine = dialect.make_reader(url)
+    try:
+        damage = list(structure_findings(engine))
+        yield from damage
+        if any(finding.where == "database" for finding in damage):
+            return
+        tables = list(_table_findings(engine))
+        yield from tables
+        if tables:
+            return
+        known.owners = {}
+        with engine.connect() as connection:
+            known.own, known.elsewhere = id_of(connection), is_elsewhere(sign, connection)
+            known.new = is_new(connection)
+        yield from row_findings(engine, known.owners)
+    except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
+        yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
+        known.owners = None
+    finally:
+        engine.dispose()
 
 
 def _needed_now(url: str, digests: list[str]) -> set[str]:

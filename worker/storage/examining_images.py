@@ -3,101 +3,55 @@
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST, LOCK, UNFINISHED, owner_of
+from worker.storage.known_images import ORPHAN, ImageFindings, KnownImages
 from worker.storage.owner_file import OWNER
 from worker.storage.signs import ALIVE
 
-AGAIN = "enrol the image again, or restore the file from a backup"
-ORPHAN = "belongs to no view"
 LEFTOVER = "was left unfinished by a crash"
-FOREIGN = "says that the images are of another database"
-THEIRS = "see REVISIT_DATABASE; if that one is gone, remove this: the next start removes images that no view here needs"
-NEW = "holds images already, and nothing was ever enrolled into the database"
-LOST = "see REVISIT_DATABASE; if the file of the database was lost, restore a backup of it"
-
-Needed = Callable[[list[str]], set[str]]
 
 
-def is_foreign(owner: str | None, own: str | None) -> bool:
-    """Whether images are of another database than that with the id `own`; where either is unknown, they are not."""
-    return owner is not None and own is not None and owner != own
-
-
-def image_findings(
-    folder: Path,
-    owners: dict[str, str] | None,
-    own: str | None,
-    *,
-    running: bool = False,
-    new: bool = False,
-    needed: Needed | None = None,
-) -> Iterator[Finding]:
-    """Findings of all files of images.
-
-    Parameters
-    ----------
-    folder : Path
-    owners : mapping or None
-        SHA-256 of each image to the view that needs it, as text; None when the database could not be read.
-    own : str or None
-        Id of the database.
-    running : bool
-        Whether a service uses the folder: it may be writing or removing files just now.
-    new : bool
-        Whether nothing was ever enrolled into the database, so that images which nobody has taken are not its.
-    needed : function or None
-        Which of these digests views need by now; None: those of `owners`.
-    """
+def image_findings(folder: Path, known: KnownImages) -> Iterator[Finding]:
+    """Findings of all files of images."""
     if not os.access(folder, os.R_OK | os.X_OK):
-        if folder.exists() or owners:
+        if folder.exists() or known.owners:
             yield Finding(str(folder), "is missing or cannot be read", "see its permissions, or restore a backup")
         return
-    missing = dict(owners or {})
-    bad: dict[str, Finding] = {}
-    try:
-        owner = owner_of(folder)
-        foreign = is_foreign(owner, own)
-    except OSError as error:
-        yield Finding(str(folder / OWNER), f"cannot be read ({error.strerror})", "see its permissions")
-        foreign = True
-    else:
-        if foreign:
-            yield Finding(str(folder / OWNER), FOREIGN, THEIRS)
-        elif owner is None and new and not running and any(DIGEST.fullmatch(one.name) for one in files_below(folder)):
-            yield Finding(str(folder), NEW, LOST)
-            foreign = True
+    theirs = _owner_finding(folder, known)
+    if theirs is not None:
+        yield theirs
+    findings = ImageFindings(known, keeps_orphans=known.running or theirs is not None)
     for path in files_below(folder):
         name = str(path.relative_to(folder.parent))
-        digest = path.name
-        placed = path.parent == folder / digest[:2] / digest[2:4]
         if path in (folder / OWNER, folder / ALIVE) or (path.name == LOCK and path.parent.parent == folder):
             continue  # the sign of life came with the images, from an object store
         if path.name.startswith(UNFINISHED):
-            if not running:
+            if not known.running:
                 yield Finding(name, LEFTOVER, f"{REPAIR} removes it")
-        elif not DIGEST.fullmatch(digest) or not placed:
-            yield Finding(name, "is not of revisit", "move it away")
+        elif DIGEST.fullmatch(path.name) and name == _place(path.name):
+            yield from findings.of(path.name, name, _fault(path))
         else:
-            view = missing.pop(digest, None)
-            if (fault := _fault(path)) is not None:
-                of = view or "no view"
-                bad[digest] = Finding(name, f"{fault}; it is the image of {of}", f"cannot be mended: {AGAIN}")
-            elif owners is not None and view is None and not running and not foreign:
-                yield Finding(name, ORPHAN, f"{REPAIR} removes it")
-    for digest, view in missing.items():
-        shown = f"pictures/{digest[:2]}/{digest[2:4]}/{digest}" if DIGEST.fullmatch(digest) else repr(digest)
-        bad[digest] = Finding(shown, f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
-    yield from still_needed(bad, needed)
+            yield Finding(name, "is not of revisit", "move it away")
+    yield from findings.rest(lambda digest: _place(digest) if DIGEST.fullmatch(digest) else repr(digest))
 
 
-def still_needed(bad: Mapping[str, Finding], needed: Needed | None) -> Iterator[Finding]:
-    """Findings of images, by their digests, but for those that no view needs any longer."""
-    wanted = bad.keys() if needed is None else needed(list(bad))
-    return (finding for digest, finding in bad.items() if digest in wanted)
+def _owner_finding(folder: Path, known: KnownImages) -> Finding | None:
+    """What says that the images are not of this database, or hides whose they are."""
+    try:
+        owner = owner_of(folder)
+    except OSError as error:
+        return Finding(str(folder / OWNER), f"cannot be read ({error.strerror})", "see its permissions")
+    return known.owner_finding(
+        owner, str(folder / OWNER), str(folder), lambda: any(DIGEST.fullmatch(one.name) for one in files_below(folder))
+    )
+
+
+def _place(digest: str) -> str:
+    return f"pictures/{digest[:2]}/{digest[2:4]}/{digest}"
 
 
 def files_below(folder: Path) -> Iterator[Path]:
@@ -110,12 +64,9 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 def _fault(path: Path) -> str | None:
     try:
-        sums = hashlib.sha256()
         with path.open("rb") as file:
-            while portion := file.read(1 << 20):
-                sums.update(portion)
-        if sums.hexdigest() == path.name:
-            return None
+            if hashlib.file_digest(file, "sha256").hexdigest() == path.name:
+                return None
         return "does not hold what was enrolled" if path.stat().st_size else "is empty"
     except OSError as error:
         return f"cannot be read ({error.strerror})"

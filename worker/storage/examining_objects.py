@@ -7,10 +7,10 @@ from contextlib import nullcontext
 from functools import partial
 
 from schemas.errors import Damaged, RevisitError, SetupError
-from worker.storage.examining_images import AGAIN, FOREIGN, LOST, NEW, ORPHAN, THEIRS, Needed, is_foreign, still_needed
-from worker.storage.finding import REPAIR, Finding
+from worker.storage.finding import Finding
 from worker.storage.image_files import DIGEST, LOCK
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
+from worker.storage.known_images import ImageFindings, KnownImages
 from worker.storage.owner_file import OWNER
 from worker.storage.peers import ImageHold
 from worker.storage.signs import ALIVE, Sign, read
@@ -24,50 +24,21 @@ _BESIDE = re.compile(rf"{re.escape(PROBE)}|{OWNER}|{ALIVE}|({IMPORTS}|{SNAPSHOTS
 """Objects that are no images; locks came with the images, from a folder."""
 
 
-def object_findings(
-    address: str,
-    owners: dict[str, str] | None,
-    own: str | None,
-    *,
-    running: bool = False,
-    elsewhere: bool = False,
-    new: bool = False,
-    needed: Needed | None = None,
-) -> Iterator[Finding]:
-    """Findings of all images of a store.
-
-    Parameters
-    ----------
-    address : str
-        ``s3://bucket/prefix``.
-    owners : mapping or None
-        SHA-256 of each image to the view that needs it, as text; None when the database could not be read.
-    own : str or None
-        Id of the database.
-    running : bool
-        Whether a service of this folder runs: it may be writing or removing objects just now.
-    elsewhere : bool
-        Whether another copy of the database works on them.
-    new : bool
-    needed : function or None
-        As in `image_findings`.
-    """
+def object_findings(address: str, known: KnownImages) -> Iterator[Finding]:
+    """Findings of all images of the store at an address such as ``s3://bucket/prefix``."""
     try:
         objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext(ImageHold()))
     except SetupError as error:
         yield Finding(address, "cannot be examined", str(error))
         return
     try:
-        owner = objects.owner()
-        lost = owner is None and new and not running and objects.holds_any()
-        foreign = is_foreign(owner, own)
-        if foreign:
-            yield Finding(objects.owner_name, FOREIGN, THEIRS)
-        elif lost:
-            yield Finding(address, NEW, LOST)
-        elif elsewhere:
-            yield Finding(f"{objects.address}/{ALIVE}", COPY, COPIES)
-        yield from _findings(objects, address, owners, running or foreign or lost or elsewhere, needed)
+        theirs = known.owner_finding(objects.owner(), objects.owner_name, address, objects.holds_any)
+        if theirs is None and known.elsewhere:
+            theirs = Finding(f"{objects.address}/{ALIVE}", COPY, COPIES)
+        if theirs is not None:
+            yield theirs
+        findings = ImageFindings(known, keeps_orphans=known.running or theirs is not None)
+        yield from _findings(objects, address, findings)
     except RevisitError as error:
         yield Finding(address, "cannot be examined", error.detail)
     finally:
@@ -88,11 +59,7 @@ def last_sign(address: str) -> Sign | None:
         objects.close()
 
 
-def _findings(
-    objects: ImageObjects, address: str, owners: dict[str, str] | None, running: bool, needed: Needed | None
-) -> Iterator[Finding]:
-    missing = dict(owners or {})
-    bad: dict[str, Finding] = {}
+def _findings(objects: ImageObjects, address: str, findings: ImageFindings) -> Iterator[Finding]:
     placed: list[str] = []
     for name in objects.names():
         digest = name.rpartition("/")[2]
@@ -101,19 +68,9 @@ def _findings(
         elif not _BESIDE.fullmatch(name):
             yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
     with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
-        faults = pool.map(partial(_fault, objects), placed)
-        for digest, fault in zip(placed, faults, strict=True):
-            where = f"{address}/{digest[:2]}/{digest[2:4]}/{digest}"
-            view = missing.pop(digest, None)
-            if fault is not None:
-                of = view or "no view"
-                bad[digest] = Finding(where, f"{fault}; it is the image of {of}", f"cannot be mended: {AGAIN}")
-            elif owners is not None and view is None and not running:
-                yield Finding(where, ORPHAN, f"{REPAIR} removes it")
-    for digest, view in missing.items():
-        what = f"is missing; it is the image of {view}"
-        bad[digest] = Finding(f"{address}/{digest}", what, f"cannot be mended: {AGAIN}")
-    yield from still_needed(bad, needed)
+        for digest, fault in zip(placed, pool.map(partial(_fault, objects), placed), strict=True):
+            yield from findings.of(digest, f"{address}/{digest[:2]}/{digest[2:4]}/{digest}", fault)
+    yield from findings.rest(lambda digest: f"{address}/{digest}")
 
 
 def _fault(objects: ImageObjects, digest: str) -> str | None:

@@ -19,10 +19,11 @@ from schemas.errors import RevisitError, SetupError
 from worker.storage import dialect, migrating, wal
 from worker.storage.database import Database
 from worker.storage.examining import database_file, examine, file_finding, structure_findings
-from worker.storage.examining_images import ORPHAN, is_orphan
+from worker.storage.examining_images import is_orphan
 from worker.storage.examining_rows import scan
 from worker.storage.finding import Finding
 from worker.storage.image_store import open_images
+from worker.storage.known_images import ORPHAN
 from worker.storage.locks import USE, FolderLock, lock_for_serving
 from worker.storage.tables import METADATA
 
