@@ -12,7 +12,6 @@ import ipaddress
 import math
 import re
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,6 +25,7 @@ from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS
 from schemas.errors import Busy
 from schemas.keys import UNRESTRICTED, Access, Rates
+from schemas.latest import Latest
 from schemas.settings import MEGA, Settings
 
 MINUTE = 60.0
@@ -52,7 +52,7 @@ class Buckets:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._paid_off: OrderedDict[str, float] = OrderedDict()  # the moment at which a bucket is full again
+        self._paid_off: Latest[str, float] = Latest(MOST_BUCKETS)  # the moment at which a bucket is full again
 
     def wait(self, name: str, limit: float, cost: float) -> int:
         """Seconds, rounded up, until `cost` is let in; 0: now. At most `limit` a minute; 0: without limit.
@@ -70,9 +70,6 @@ class Buckets:
             return
         now = self._clock()
         self._paid_off[name] = max(now, self._paid_off.get(name, now)) + MINUTE * cost / limit
-        self._paid_off.move_to_end(name)
-        while len(self._paid_off) > MOST_BUCKETS:
-            self._paid_off.popitem(last=False)
 
     def take(self, name: str, limit: float, cost: float) -> int:
         """`spend` when there is no `wait`; returns the wait."""

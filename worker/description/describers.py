@@ -1,11 +1,11 @@
 """Describers by recipe: built once, shared by queries and enrolments."""
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from schemas.errors import NotFound, SetupError
+from schemas.latest import Latest
 from schemas.recipe import DescriptionRecipe
 from worker.description.describer import Describer
 from worker.description.impostors import shipped_for
@@ -44,8 +44,8 @@ class Describers:
         self._vocabularies = vocabularies
         self._product = product
         self._general = {vocabulary.digest: vocabulary for vocabulary in general}
-        self._made: OrderedDict[str, Describer] = OrderedDict()
-        self._impostors: OrderedDict[str, Impostors | None] = OrderedDict()
+        self._made: Latest[str, Describer] = Latest(KEPT)
+        self._impostors: Latest[str, Impostors | None] = Latest(KEPT)
         self._lock = threading.Lock()
 
     def of(self, recipe: DescriptionRecipe) -> Describer:
@@ -62,7 +62,7 @@ class Describers:
         """The impostors that queries of maps with a recipe are compared with; None where there are none."""
         return self._kept(self._impostors, recipe.id, lambda: self._shipped_for(recipe))
 
-    def _kept(self, kept: OrderedDict[str, Made], key: str, make: Callable[[], Made]) -> Made:
+    def _kept(self, kept: Latest[str, Made], key: str, make: Callable[[], Made]) -> Made:
         """The value kept under a key; made, and kept, where there is none."""
         with self._lock:
             if key in kept:
@@ -71,8 +71,6 @@ class Describers:
         made = make()
         with self._lock:
             kept[key] = made
-            while len(kept) > KEPT:
-                kept.popitem(last=False)
         return made
 
     def _describer(self, recipe: DescriptionRecipe) -> Describer:

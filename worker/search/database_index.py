@@ -1,6 +1,5 @@
 """Search inside the database: one index per map that holds no vectors, and the catalogue of them."""
 
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import count
@@ -8,6 +7,7 @@ from itertools import count
 import numpy as np
 
 from schemas.description import Floats
+from schemas.latest import Latest
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Changes, Filters, MapRecord, Selection, VectorsFound
 from worker.method.camera_fixed import CameraFixed
@@ -105,7 +105,7 @@ class DatabaseCatalogue:
     def __init__(self, vectors: VectorReader, descriptions: DescriptionReader, *, approximate: bool = False) -> None:
         self._vectors, self._approximate = vectors, approximate
         self._fixed = FixedCells(descriptions)
-        self._samples: OrderedDict[tuple[int, str, int], tuple[int, ...]] = OrderedDict()
+        self._samples: Latest[tuple[int, str, int], tuple[int, ...]] = Latest(MOST_KEPT)
 
     def index(self, name: str) -> tuple[DatabaseIndex, MapRecord]:
         """The index of a map, with all changes committed before this call, and the map at that revision.
@@ -135,8 +135,6 @@ class DatabaseCatalogue:
         sample = self._samples.get(key)
         if sample is None:
             sample = self._samples[key] = index.sample()
-            if len(self._samples) > MOST_KEPT:
-                self._samples.popitem(last=False)
         return self._fixed.of(sample, recipe)
 
     def revisions(self) -> Mapping[str, int]:

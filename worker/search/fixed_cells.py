@@ -1,11 +1,11 @@
 """What is fixed to the cameras of maps, read from some of their views and kept while these stay the same."""
 
 import threading
-from collections import OrderedDict
 
 import numpy as np
 
 from schemas.description import LocalFeatures
+from schemas.latest import Latest
 from schemas.recipe import DescriptionRecipe
 from worker.method.camera_fixed import LEAST_VIEWS, CameraFixed, camera_fixed
 from worker.search.ports import DescriptionReader
@@ -25,7 +25,7 @@ class FixedCells:
     def __init__(self, descriptions: DescriptionReader) -> None:
         self._descriptions = descriptions
         self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, tuple[int, ...]], CameraFixed | None] = OrderedDict()
+        self._kept: Latest[tuple[str, tuple[int, ...]], CameraFixed | None] = Latest(MOST_KEPT)
 
     def of(self, sample: tuple[int, ...], recipe: DescriptionRecipe) -> CameraFixed | None:
         """What is fixed to the camera, by views described by a recipe; those that were deleted are left out."""
@@ -43,6 +43,4 @@ class FixedCells:
         found = camera_fixed(np.stack(list(cells.values())), list(keypoints.values())) if cells else None
         with self._lock:
             self._kept[key] = found
-            while len(self._kept) > MOST_KEPT:
-                self._kept.popitem(last=False)
         return found

@@ -11,6 +11,7 @@ import numpy as np
 from schemas.ageing import MatchedView, ScoreFall
 from schemas.health import HealthFinding, SurveyedView
 from schemas.inbox import Proposal, Proposals
+from schemas.latest import Latest
 from schemas.records import Filters, MapRecord
 from worker.method.ageing import Trend, fell_together, trend, usual_fall
 from worker.method.positions import is_known
@@ -62,7 +63,8 @@ class AgeingPlaces:
         self, scores: Scores, views: Views, proposals: Callable[[str], Proposals], write: Callable[[], None]
     ) -> None:
         self._scores, self._views, self._proposals, self._write = scores, views, proposals, write
-        self._kept: dict[str, tuple[tuple[datetime, int, tuple[int, int]], tuple[list[_Place], MatchDays]]] = {}
+        self._kept: Latest[str, tuple[tuple[datetime, int, tuple[int, int]], tuple[list[_Place], MatchDays]]]
+        self._kept = Latest(KEPT)
         self._lock = threading.Lock()
 
     def of(self, record: MapRecord, groups: Sequence[Sequence[SurveyedView]]) -> list[HealthFinding]:
@@ -90,12 +92,10 @@ class AgeingPlaces:
     def _places(self, record: MapRecord) -> tuple[list[_Place], MatchDays]:
         with self._lock:
             state = record.created_at, record.revision, self._scores.state(record.name)
-            kept = self._kept.pop(record.name, None)
+            kept = self._kept.get(record.name)
             if kept is None or kept[0] != state:
                 kept = state, self._examine(record)
             self._kept[record.name] = kept
-            while len(self._kept) > KEPT:
-                del self._kept[next(iter(self._kept))]
             return kept[1]
 
     def _examine(self, record: MapRecord) -> tuple[list[_Place], MatchDays]:

@@ -1,7 +1,6 @@
 """What changed at a place: between two views of it, or between a view and a query that matched it."""
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ import numpy as np
 from schemas.description import Doubles
 from schemas.errors import ImageNotKept, InvalidParameters
 from schemas.image import Image
+from schemas.latest import Latest
 from schemas.recipe import DescriptionRecipe
 from schemas.records import MapRecord, ViewRecord
 from worker.description.describer import components
@@ -121,7 +121,7 @@ class ChangeService:
     ) -> None:
         self._maps, self._views, self._describers = maps, views, describers
         self._scheduler, self._decode, self._explanations = scheduler, decode, explanations
-        self._recent: OrderedDict[tuple[str, str, str], Comparison] = OrderedDict()
+        self._recent: Latest[tuple[str, str, str], Comparison] = Latest(RECENT)
 
     def between(self, view_id: str, since: str) -> Comparison:
         """What changed from the view `since` to another one of its map.
@@ -222,8 +222,6 @@ class ChangeService:
         known = self._recent.get(key)
         if known is None:
             known = self._recent[key] = self._compared(owner.description, view, then, now)
-            while len(self._recent) > RECENT:
-                self._recent.popitem(last=False)
         return known
 
     def _compared(self, recipe: DescriptionRecipe, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:

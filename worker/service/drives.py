@@ -2,12 +2,12 @@
 
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from schemas.latest import Latest
 from worker.method.decision import GROUPED, SOFTENING, Decision, PlaceProbability, confidences
 from worker.method.drive import Drive, Single, follow, spread
 from worker.method.evidence import Ranking
@@ -100,7 +100,7 @@ class Drives:
         self, further: Callable[[RankedResults, int], RankedResults], now: Callable[[], float] = time.monotonic
     ) -> None:
         self._further, self._now = further, now
-        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+        self._kept: Latest[tuple[str, str], _Kept] = Latest(MOST)
         self._lock = threading.Lock()
 
     def follow(
@@ -144,15 +144,13 @@ class Drives:
             return results, decision, Driven(path.drive.images, (), decision.status, path.row.images)
         single = _single(results, decision)
         with self._lock:
-            kept = self._kept.pop(key, None)
+            kept = self._kept.get(key)
             before = _Path(Drive(), Row())
             if kept is not None and kept.goes_on(of, now, timeout_s):
                 before = kept.before if call is not None and call == kept.call else kept.after
             drive, together = follow(before.drive, single)
             row = before.row.followed_by(int(results.ranking.order[0]) if decision.status == "matched" else None)
             self._kept[key] = _Kept(call, before, _Path(drive, row), of, now)
-            while len(self._kept) > MOST:
-                self._kept.popitem(last=False)
         probability = dict(zip(single.seqs.tolist(), together.tolist(), strict=True))
         results, posterior, count = self._together(results, probability)
         driven = Driven(drive.images, posterior, decision.status, row.images)

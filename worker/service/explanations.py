@@ -1,6 +1,5 @@
 """The latest explained queries, kept in memory so that their explanations can be drawn on demand."""
 
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy.typing as npt
 from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.image import Image
+from schemas.latest import Latest
 from worker.images.explanation import Headline
 from worker.method.decision import Decision
 from worker.service.results import RankedResults, ScoredView
@@ -79,13 +79,11 @@ class Explanations:
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._kept: OrderedDict[str, Explained] = OrderedDict()
+        self._kept: Latest[str, Explained] = Latest(most)
 
     def keep(self, query_id: str, explained: Explained) -> None:
         """Keep an explained query, and forget the oldest ones beyond `most`."""
         self._kept[query_id] = explained
-        while len(self._kept) > self._most:
-            self._kept.popitem(last=False)
 
     def get(self, query_id: str) -> Explained:
         """An explained query by its id; raises NotFound."""

@@ -14,6 +14,7 @@ import numpy as np
 from schemas.comparisons import MapLevels
 from schemas.description import Appearance, Floats
 from schemas.health import CODES, HealthFinding, HealthReport, SurveyedView
+from schemas.latest import Latest
 from schemas.records import MapRecord
 from worker.method import coverage
 from worker.method.calibration import Calibration
@@ -104,7 +105,7 @@ class HealthService:
     ) -> None:
         self._maps, self._comparisons, self._descriptions = maps, comparisons, descriptions
         self._calibration, self._ageing = calibration, ageing
-        self._kept: dict[str, tuple[tuple[datetime, int], HealthReport, list[list[SurveyedView]]]] = {}
+        self._kept: Latest[str, tuple[tuple[datetime, int], HealthReport, list[list[SurveyedView]]]] = Latest(KEPT)
         self._lock = threading.Lock()
 
     def of(self, name: str) -> HealthReport:
@@ -113,12 +114,10 @@ class HealthService:
         with self._lock:
             record = self._maps.get(name)
             state = record.created_at, record.revision
-            kept = self._kept.pop(name, None)
+            kept = self._kept.get(name)
             if kept is None or kept[0] != state:
                 kept = state, *self._examine(record)
             self._kept[name] = kept
-            while len(self._kept) > KEPT:
-                del self._kept[next(iter(self._kept))]
             return replace(kept[1], findings=_ordered([*kept[1].findings, *self._ageing.of(record, kept[2])]))
 
     def _examine(self, record: MapRecord) -> tuple[HealthReport, list[list[SurveyedView]]]:

@@ -1,7 +1,6 @@
 """Inbox: queries that matched nothing, by spot, to be named once or dismissed."""
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from schemas.errors import NotFound
 from schemas.inbox import Inbox, KeptQuery, UnknownPlace
+from schemas.latest import Latest
 from schemas.records import ViewAttributes
 from worker.method.near_duplicates import alike
 from worker.method.places import SAME_SPOT_INLIERS
@@ -148,7 +148,7 @@ class _Pairs:
     """Remembers of pairs of queries whether both show one spot: the next list has nearly the same ones."""
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[str, str], bool] = OrderedDict()
+        self._known: Latest[tuple[str, str], bool] = Latest(MOST_KNOWN)
         self._lock = threading.Lock()
 
     def same(self, query: KeptQuery, others: Sequence[KeptQuery]) -> list[bool]:
@@ -159,8 +159,6 @@ class _Pairs:
         found = {other.id: shows for other, shows in zip(unknown, _same(query, unknown), strict=True)}
         with self._lock:
             self._known.update({(query.id, other): shows for other, shows in found.items()})
-            while len(self._known) > MOST_KNOWN:
-                self._known.popitem(last=False)
         return [bool(found.get(other.id, known[other.id])) for other in others]
 
 

@@ -1,9 +1,9 @@
 """What wrong answers get in maps, kept in memory while these stay the same."""
 
-from collections import OrderedDict
 from datetime import datetime
 
 from schemas.comparisons import MapLevels
+from schemas.latest import Latest
 from schemas.records import MapRecord
 from worker.service.ports import Comparisons
 
@@ -22,7 +22,7 @@ class KnownLevels:
 
     def __init__(self, comparisons: Comparisons) -> None:
         self._comparisons = comparisons
-        self._kept: OrderedDict[str, tuple[tuple[datetime, int, str], MapLevels]] = OrderedDict()
+        self._kept: Latest[str, tuple[tuple[datetime, int, str], MapLevels]] = Latest(MOST_KEPT)
 
     def of(self, record: MapRecord) -> MapLevels:
         """What wrong answers get in a map; raises NotFound."""
@@ -31,6 +31,4 @@ class KnownLevels:
             levels = self._comparisons.levels(record.name, record.description.id)
             kept = (record.created_at, levels.revision, record.description.id), levels
             self._kept[record.name] = kept
-            while len(self._kept) > MOST_KEPT:
-                self._kept.popitem(last=False)
         return kept[1]

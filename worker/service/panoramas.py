@@ -1,12 +1,12 @@
 """Panoramas of a recording, each as several views."""
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 from schemas.image import Image
+from schemas.latest import Latest
 from worker.images import panorama
 from worker.service.recordings import Item
 
@@ -25,7 +25,7 @@ class Panoramas:
 
     def __init__(self, decode: Callable[[bytes], Image]) -> None:
         self._decode = decode
-        self._views: OrderedDict[int, list[bytes]] = OrderedDict()  # by the place of the panorama in the recording
+        self._views: Latest[int, list[bytes]] = Latest(KEPT)  # by the place of the panorama in the recording
         self._lock = threading.Lock()
 
     def split(self, items: Sequence[Item]) -> list[Item]:
@@ -46,6 +46,4 @@ class Panoramas:
         with self._lock:  # the views of one panorama are read at once, and are to be made once
             if at not in self._views:
                 self._views[at] = panorama.views(self._decode(item.read()).pixels)
-                while len(self._views) > KEPT:
-                    self._views.popitem(last=False)
             return self._views[at][number]

@@ -1,7 +1,6 @@
 """Comparisons of views with the other views of their map."""
 
 import json
-from collections import OrderedDict
 from collections.abc import Sequence
 from datetime import datetime
 from functools import cache
@@ -13,6 +12,7 @@ import sqlalchemy as sa
 from schemas.comparisons import Comparison, KnownView, MapLevels
 from schemas.draw import draw_order
 from schemas.health import SurveyedView, Uncompared
+from schemas.latest import Latest
 from schemas.recipe import MapRecipe
 from worker.storage import checksums, clock, switching
 from worker.storage.database import Database
@@ -66,7 +66,7 @@ class Comparisons(Part):
 
     def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
-        self._levels: OrderedDict[tuple[int, str], MapLevels] = OrderedDict()
+        self._levels: Latest[tuple[int, str], MapLevels] = Latest(MOST_KEPT)
         # By sample and busy, see `uncompared`: the maps in which nothing was due, and their revisions then.
         self._nothing_due: dict[tuple[int, bool], dict[int, int]] = {}
 
@@ -173,8 +173,6 @@ class Comparisons(Part):
             levels = _levels(connection, row, key[1], described)
         if key[1] == row.recipe:  # comparisons by another one give the map no revision
             self._levels[key] = levels
-            while len(self._levels) > MOST_KEPT:
-                self._levels.popitem(last=False)
         return levels
 
     def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:

@@ -6,12 +6,12 @@ import signal
 import struct
 import subprocess
 import threading
-from collections import OrderedDict
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from schemas.latest import Latest
 from worker.images.apart.launching import launched
 
 HEADER = struct.Struct("<IQ")
@@ -46,7 +46,7 @@ class ImageStream:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._ended: str | None = None  # why no more images come
-        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._kept: Latest[int, bytes] = Latest(KEPT)
         self._first: dict[bytes, int] = {}
         self._last = -1  # the number that came last
         self._wanted: frozenset[int] | None = None
@@ -132,8 +132,6 @@ class ImageStream:
                 self._last = number
                 if self._wanted is None or number in self._wanted:
                     self._kept[number] = image
-                while len(self._kept) > KEPT:
-                    self._kept.popitem(last=False)
                 return
         code = self._end()
         self._ended = f"cannot be read: {_how(code)}" if code else "is damaged, or the file breaks off before"
