@@ -75,8 +75,8 @@ class KeyGate:
     (`check_map`), and that of a view, job or query when it is looked up.
     """
 
-    def __init__(self, app: ASGIApp, keys: Keys, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
-        self._app, self._keys, self._now = app, keys, now
+    def __init__(self, app: ASGIApp, keys: Keys) -> None:
+        self._app, self._keys = app, keys
         # A thread of its own: keys are asked for while all others are busy. Another one writes, which may take a minute
         # while somebody else does: no request waits for it.
         self._thread = ThreadPoolExecutor(1, "revisit-keys")
@@ -102,7 +102,7 @@ class KeyGate:
             access = ANONYMOUS
         scope["state"]["access"] = access
         scope["state"]["check_again"] = partial(self._check_again, headers, scope["method"], path)
-        now = self._now()
+        now = datetime.now(UTC)
         if access.key_id not in self._noting and not self._keys.is_noted(access, now):
             self._noting.add(access.key_id)
             self._notes.submit(self._note, access, now)
@@ -114,7 +114,7 @@ class KeyGate:
         if not ring.closed:
             return UNRESTRICTED
         try:
-            return ring.access(presented(headers), self._now())
+            return ring.access(presented(headers), datetime.now(UTC))
         except Unauthorized:
             # Counted only here: whoever sends a right key is never refused for what its neighbours send.
             wait = 0 if client is None else self._failures.take(client, FAILURES, 1)
@@ -129,7 +129,7 @@ class KeyGate:
         """Raise what a request would be refused with if it came now: an answer may take longer than its key lasts."""
         ring = self._keys.fresh() or await self._read(None)
         if ring.closed:
-            _check(ring.access(presented(headers), self._now()), demand(method, path))
+            _check(ring.access(presented(headers), datetime.now(UTC)), demand(method, path))
 
     async def _read(self, patience_s: float | None) -> KeyRing:
         """Read the keys once for all requests that wait for them; raises Unavailable after `patience_s`."""

@@ -118,12 +118,10 @@ class RateLimit:
     app : ASGIApp
     settings : Settings
         ``limit_...``; a key may have limits of its own.
-    clock : function
-        Seconds of a clock that never goes back.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
-        self._app, self._buckets = app, Buckets(clock)
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app, self._buckets = app, Buckets()
         self._each = Rates(settings.limit_requests, settings.limit_images, settings.limit_mb)
         self._all = Rates(settings.limit_all_requests, settings.limit_all_images, settings.limit_all_mb)
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from schemas.description import DETAIL, Doubles, Indices, Int8s
 from worker.method import hough
-from worker.method.byte_vectors import Product, float_product
 from worker.method.cell_regions import bounding_box, smoothed
 from worker.method.channel_fusion import length, slice_channel
 from worker.method.context_graph import Components
@@ -108,7 +107,6 @@ def agreeing(
     *,
     cell_aspect: Doubles | None = None,
     align_scale: float = 0.0,
-    product: Product = float_product,
 ) -> CellEvidence:
     """The agreeing cells of a query and one candidate, by that comparison which counted in the ranking.
 
@@ -123,18 +121,17 @@ def agreeing(
     align_scale : float
         Factor on the similarity of detail alone (`worker.method.evidence.DenseEvidence`): when that is larger, its
         cells are returned, with weights times the square of the factor. 0 compares all channels together only.
-    product : Product
 
     Raises
     ------
     DescriptorMismatch, ValueError
         As `worker.method.dense_cells.correspondences`.
     """
-    joined = _agreeing(query, candidate, cell_aspect, product)
+    joined = _agreeing(query, candidate, cell_aspect)
     if align_scale <= 0:
         return joined
     ours, theirs = (slice_channel(cells, channels, DETAIL) for cells in (query, candidate))
-    alone = _agreeing(ours, theirs, cell_aspect, product, length(ours), factor=align_scale, channel=DETAIL)
+    alone = _agreeing(ours, theirs, cell_aspect, length(ours), factor=align_scale, channel=DETAIL)
     return alone if alone.similarity > joined.similarity else joined
 
 
@@ -179,7 +176,6 @@ def _agreeing(
     query: Int8s,
     candidate: Int8s,
     cell_aspect: Doubles | None,
-    product: Product,
     length: float = 1.0,
     *,
     factor: float = 1.0,
@@ -187,8 +183,8 @@ def _agreeing(
 ) -> CellEvidence:
     """The agreeing cells by one comparison; the similarity counts `factor` times, and is 1 at most."""
     shape = (query.shape[0], query.shape[1])
-    pairs = correspondences(query, candidate[None], product, length)
-    burstiness = burstiness_weight(query, product=product, length=length)
+    pairs = correspondences(query, candidate[None], length=length)
+    burstiness = burstiness_weight(query, length=length)
     aspect = np.ones(2) if cell_aspect is None else cell_aspect
     won = hough.winning(pairs, burstiness, shape, 1, cell_aspect=aspect[None])
     weight = won.weights / hough.largest_weight(burstiness) * factor**2

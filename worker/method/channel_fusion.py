@@ -97,22 +97,20 @@ def single_channel_burstiness(
     return dense_cells.burstiness_weight(ours, product=product, length=length(ours))
 
 
-def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE) -> float:
+def align_scale(joined: Floats, alone: Floats) -> float:
     """Factor that makes similarities of one channel alone comparable with those of all channels.
 
     Parameters
     ----------
     joined, alone : float32 of shape (candidates,)
         Similarities of the same candidates, at least one, by all channels and by one channel.
-    high : float
-        Quantile at which the two are aligned, 0..1.
 
     Returns
     -------
     float
         Quotient of the two quantiles, joined over alone, at most `LARGEST_ALIGN_SCALE`; 0 where that of `alone` is 0.
     """
-    usual, other = (float(np.quantile(scores, high)) for scores in (joined, alone))
+    usual, other = (float(np.quantile(scores, REFERENCE_QUANTILE)) for scores in (joined, alone))
     return min(usual / other, LARGEST_ALIGN_SCALE) if other > 0 else 0.0
 
 

@@ -61,7 +61,7 @@ class EncodingService:
         self,
         encoder: Encoder,
         batch: int,
-        observe: Callable[[int], None] = lambda count: None,
+        observe: Callable[[int], None],
         most: int = MOST_WAITING,
         segmenter: SegmenterToShare | None = None,
     ) -> None:

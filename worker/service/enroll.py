@@ -145,9 +145,9 @@ class EnrollService:
         limit: int,
         pace_s: Callable[[], float],
         wake: Callable[[], None],
-        workers: Callable[[], int] = lambda: 1,
-        resembles: Callable[[ViewRecord, bool], tuple[Resemblance, ...]] = lambda view, judged: (),
-        describer: Callable[[str], object] = lambda name: None,
+        workers: Callable[[], int],
+        resembles: Callable[[ViewRecord, bool], tuple[Resemblance, ...]],
+        describer: Callable[[str], object],
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements

@@ -44,7 +44,7 @@ class ImportService:
         default_recipe: MapRecipe,
         refuses_poor: Callable[[str], bool],
         wake: Callable[[], None],
-        describer: Callable[[str], object] = lambda name: None,
+        describer: Callable[[str], object],
     ) -> None:
         self._uploads, self._jobs, self._limits = uploads, jobs, limits
         self._default_recipe, self._refuses_poor, self._wake = default_recipe, refuses_poor, wake

@@ -37,7 +37,7 @@ class StatisticsService:
         store: Callable[[], StoreStatistics],
         indexes: IndexRevisions,
         data: Path,
-        heartbeat_ages: Callable[[], tuple[float, ...]] = lambda: (),
+        heartbeat_ages: Callable[[], tuple[float, ...]],
     ) -> None:
         self._store, self._indexes, self._data, self._heartbeat_ages = store, indexes, data, heartbeat_ages
         self._behind_since: dict[str, float] = {}

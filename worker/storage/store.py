@@ -81,8 +81,8 @@ class SqlStore:
         data: Path,
         share: FolderLock,
         images: ImageStore,
-        lost: str | None = None,
-        index: str = "faiss",
+        lost: str | None,
+        index: str,
     ) -> None:
         self._database = database
         self._lost = lost
