@@ -18,7 +18,7 @@ from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
 from worker.storage.image_store import ImageStore
 from worker.storage.map_jobs import held
-from worker.storage.maps import make_map
+from worker.storage.maps import find_or_make_map
 from worker.storage.part import Part
 from worker.storage.rows import (
     COORDINATES,
@@ -149,13 +149,7 @@ class Enrolment(Part):
         with self._images.kept(facts.sha256, image) as hold, self._database.writing() as connection:
             hold.until_commit(connection)
             claimed = None if options.job is None else held(connection, options.job)
-            try:
-                row = find_map(connection, name)
-            except NotFound:
-                if options.recipe is None:
-                    raise
-                make_map(connection, name, options.recipe, options.now)
-                row = find_map(connection, name)
+            row = find_or_make_map(connection, name, options.recipe, options.now)
             if blur_of(row) != (() if covered is None else covered.words):
                 raise BlurChanged(f"what the map {name!r} blurs was changed meanwhile; try again")
             sent = facts.sha256 if covered is None else covered.sent_sha256

@@ -6,13 +6,12 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import NotFound
 from schemas.recipe import MapRecipe
 from schemas.records import JobProgress, JobRecord, MapClaim
 from worker.storage import deleted_images
 from worker.storage.map_jobs import MapJobs, held, queue
-from worker.storage.maps import make_map
-from worker.storage.rows import as_json, find_map, maps_named
+from worker.storage.maps import find_or_make_map
+from worker.storage.rows import as_json, maps_named
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, VIEWS
 
@@ -23,12 +22,7 @@ class ImportJobs(MapJobs):
     def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
         """Queue the import of a recording that is kept already; creates the map (with `recipe`) when there is none."""
         with self._database.writing() as connection:
-            try:
-                row = find_map(connection, name)
-            except NotFound:
-                make_map(connection, name, recipe, now)
-                row = find_map(connection, name)
-            return queue(connection, row, "import", now, job_id)
+            return queue(connection, find_or_make_map(connection, name, recipe, now), "import", now, job_id)
 
     def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
         """Report the progress of an import and what came of it so far; raises LeaseLost, also when it was cancelled.

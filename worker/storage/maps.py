@@ -81,6 +81,17 @@ def make_map(connection: sa.Connection, name: str, recipe: MapRecipe, now: datet
     )
 
 
+def find_or_make_map(connection: sa.Connection, name: str, recipe: MapRecipe | None, now: datetime) -> sa.Row[Any]:
+    """The row of a map; one that is not there is made by `recipe`, or NotFound is raised where that is None."""
+    try:
+        return find_map(connection, name)
+    except NotFound:
+        if recipe is None:
+            raise
+    make_map(connection, name, recipe, now)
+    return find_map(connection, name)
+
+
 class Maps(Part):
     """Maps by name."""
 
