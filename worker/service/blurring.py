@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -218,18 +219,21 @@ class BlurringEnrolment:
         Conflict, LeaseLost, ViewDeleted, NotFound, DiskFull, StorageFailed
             As the store says.
         """
-        for attempt in range(1, ATTEMPTS + 1):
-            words = self._maps.blur(name)
-            stored, told, found = data, image, None
-            if words:
-                blurred = self._cover(image, words, waits=options.background)
-                stored, told, found = blurred.data, blurred.image, Covered(words, image.digest)
-            try:
-                submitted = self._enrolment.submit(name, stored, facts(told), attributes, options, found)
-                if submitted.job_id is not None and found is None:
-                    self._decoded.keep(image)
-                return submitted
-            except BlurChanged:
-                if attempt == ATTEMPTS:
-                    raise
-        raise AssertionError("the last attempt returns or raises")
+        for _ in range(ATTEMPTS - 1):
+            with suppress(BlurChanged):
+                return self._submit(name, data, image, attributes, options)
+        return self._submit(name, data, image, attributes, options)
+
+    def _submit(
+        self, name: str, data: bytes, image: Image, attributes: ViewAttributes, options: EnrolmentOptions
+    ) -> Submitted:
+        """As `submit`; raises BlurChanged where what the map blurs was changed meanwhile."""
+        words = self._maps.blur(name)
+        if words:
+            blurred = self._cover(image, words, waits=options.background)
+            hidden = Covered(words, image.digest)
+            return self._enrolment.submit(name, blurred.data, facts(blurred.image), attributes, options, hidden)
+        submitted = self._enrolment.submit(name, data, facts(image), attributes, options)
+        if submitted.job_id is not None:
+            self._decoded.keep(image)
+        return submitted

@@ -229,17 +229,17 @@ class MapService:
 
     def _begin(self, name: str, wanted: Wanted, begin: Callable[[MapRecipe, MapRecipe], JobRecord]) -> JobRecord:
         """Begin what leads to the recipe that is wanted; `begin` gets it and the map's own, from which it was made."""
-        for attempt in range(1, ATTEMPTS + 1):
+
+        def attempt() -> JobRecord:
             present = self._maps.get(name).recipe
-            try:
-                job = begin(self._following(present, wanted), present)
-            except RecipeChanged:  # since it was read: the next one would undo that
-                if attempt == ATTEMPTS:
-                    raise
-                continue
+            job = begin(self._following(present, wanted), present)
             self._wake()
             return job
-        raise AssertionError("the last attempt returns or raises")
+
+        for _ in range(ATTEMPTS - 1):
+            with suppress(RecipeChanged):  # since it was read: the next one would undo that
+                return attempt()
+        return attempt()
 
     def _following(self, recipe: MapRecipe, wanted: Wanted) -> MapRecipe:
         """The recipe that a map's own becomes by what is wanted."""

@@ -216,18 +216,21 @@ class _Reader(io.RawIOBase):
         return len(piece)
 
     def _piece(self, count: int) -> bytes:
-        for left in reversed(range(READ_ATTEMPTS)):
-            try:
-                if self._body is None:
-                    with _missing(self._of["Key"]):
-                        wanted = {"Range": f"bytes={self._at}-", "IfMatch": self._tag}
-                        self._body = self._client.get_object(**self._of, **wanted)["Body"]
-                return bytes(self._body.read(count))
-            except BotoCoreError:  # the connection broke, or was silent; a refusal is a ClientError
-                self._drop()
-                if left == 0:
-                    raise
-        raise AssertionError
+        for _ in range(READ_ATTEMPTS - 1):
+            with suppress(BotoCoreError):  # the connection broke, or was silent; a refusal is a ClientError
+                return self._read_on(count)
+        return self._read_on(count)
+
+    def _read_on(self, count: int) -> bytes:
+        try:
+            if self._body is None:
+                with _missing(self._of["Key"]):
+                    wanted = {"Range": f"bytes={self._at}-", "IfMatch": self._tag}
+                    self._body = self._client.get_object(**self._of, **wanted)["Body"]
+            return bytes(self._body.read(count))
+        except BotoCoreError:
+            self._drop()
+            raise
 
     def _drop(self) -> None:
         if self._body is not None:
