@@ -266,33 +266,35 @@ def open_store(
         if index != "faiss":
             _prepare_or_release(database, share)
         return SqlStore(database, data, share, place, lost, index)
-    except SetupError:
+    except BaseException as error:
         database.close()
-        raise
-    except Damaged as error:
-        database.close()
+        if (problem := _setup_problem(error, data)) is None:
+            raise
+        raise SetupError(problem) from error
+
+
+def _setup_problem(error: BaseException, data: Path) -> str | None:
+    """What an error says to whoever opens a store; None where it says so itself, or is unforeseen."""
+    if isinstance(error, SetupError):
+        return None
+    if isinstance(error, Damaged):
         reason = getattr(error.__cause__, "orig", error.__cause__)
-        raise SetupError(
+        return (
             f"the database cannot be used: {reason}; see REVISIT_DATABASE; if it was whole once, `./revisit doctor "
             "--repair` saves what can be read, and a backup has the rest"
-        ) from error
-    except RevisitError as error:
-        database.close()
+        )
+    if isinstance(error, RevisitError):
         if (said := lacking_right(error)) is not None:
-            raise SetupError(
+            return (
                 f"the user of REVISIT_DATABASE may not use the database as revisit does ({said}); have its owner "
                 "grant that, or make the user its owner"
-            ) from error
-        raise SetupError(f"{error.detail}; see REVISIT_DATA and REVISIT_DATABASE") from error
-    except OSError as error:
-        database.close()
-        raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
-    except sa.exc.DBAPIError as error:
-        database.close()
-        raise SetupError(f"the database cannot be used: {error.orig}; see REVISIT_DATABASE") from error
-    except BaseException:
-        database.close()
-        raise
+            )
+        return f"{error.detail}; see REVISIT_DATA and REVISIT_DATABASE"
+    if isinstance(error, OSError):
+        return f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA"
+    if isinstance(error, sa.exc.DBAPIError):
+        return f"the database cannot be used: {error.orig}; see REVISIT_DATABASE"
+    return None
 
 
 def _prepare_or_release(database: Database, share: FolderLock) -> None:
