@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from tests.storage.databases import postgres_tables
 from tests.storage.material import enroll
 from worker.storage import examining_rows
-from worker.storage.dialect import for_reading, make_reader
+from worker.storage.dialect import for_reading, reader
 from worker.storage.store import open_store
 from worker.storage.tables import VIEWS
 
@@ -19,10 +19,13 @@ def test_rows_are_not_all_in_memory_at_once(data: Path, monkeypatch: pytest.Monk
     with postgres_tables() as url, closing(open_store(url, data)) as store:
         for name in "abcde":
             enroll(store, name)
-        engine = make_reader(url)
-        with engine.connect() as plain, for_reading(plain) as connection, connection.begin():
+        with (
+            reader(url) as engine,
+            engine.connect() as plain,
+            for_reading(plain) as connection,
+            connection.begin(),
+        ):
             rows = examining_rows.scan(connection, VIEWS)
             first = next(rows)
             assert connection.scalar(sa.text("SELECT count(*) FROM pg_cursors")) == 1  # the server has the others
             assert [row.seq for row in (first, *rows)] == [1, 2, 3, 4, 5]
-        engine.dispose()

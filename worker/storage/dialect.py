@@ -137,7 +137,8 @@ def _sqlite(url: sa.URL) -> sa.Engine:
     return engine
 
 
-def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
+@contextmanager
+def reader(url: str, *, damaged: bool = False) -> Iterator[sa.Engine]:
     """An engine that cannot write, for examinations: a SQLite file is opened read only and left as it is.
 
     Parameters
@@ -146,6 +147,14 @@ def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
     damaged : bool
         Read as much as possible: past a definition that is damaged, and of a file that was cut off.
     """
+    engine = _make_reader(url, damaged)
+    try:
+        yield engine
+    finally:
+        engine.dispose()
+
+
+def _make_reader(url: str, damaged: bool) -> sa.Engine:
     parsed = sa.make_url(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database is None:
         return make_engine(url)
@@ -182,7 +191,7 @@ def for_reading(connection: sa.Connection) -> sa.Connection:
 
 
 def begin_reading(connection: sa.Connection) -> None:
-    """Begin a transaction on a connection of `make_reader`, whose reads all see one snapshot.
+    """Begin a transaction on a connection of `reader`, whose reads all see one snapshot.
 
     Python's driver for SQLite does not begin one by itself.
     """

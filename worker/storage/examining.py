@@ -65,37 +65,32 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
 
 def _database_findings(url: str, sign: Sign | None, known: KnownImages) -> Iterator[Finding]:
     """Findings of the database; fills `known`."""
-    engine = dialect.make_reader(url)
-    try:
-        damage = list(structure_findings(engine))
-        yield from damage
-        if any(finding.where == "database" for finding in damage):
-            return
-        tables = list(_table_findings(engine))
-        yield from tables
-        if tables:
-            return
-        known.owners = {}
-        with engine.connect() as connection:
-            known.own, known.elsewhere = id_of(connection), is_elsewhere(sign, connection)
-            known.new = is_new(connection)
-        yield from row_findings(engine, known.owners)
-    except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
-        yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
-        known.owners = None
-    finally:
-        engine.dispose()
+    with dialect.reader(url) as engine:
+        try:
+            damage = list(structure_findings(engine))
+            yield from damage
+            if any(finding.where == "database" for finding in damage):
+                return
+            tables = list(_table_findings(engine))
+            yield from tables
+            if tables:
+                return
+            known.owners = {}
+            with engine.connect() as connection:
+                known.own, known.elsewhere = id_of(connection), is_elsewhere(sign, connection)
+                known.new = is_new(connection)
+            yield from row_findings(engine, known.owners)
+        except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
+            yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
+            known.owners = None
 
 
 def _needed_now(url: str, digests: list[str]) -> set[str]:
-    engine = dialect.make_reader(url)
     try:
-        with engine.connect() as connection:
+        with dialect.reader(url) as engine, engine.connect() as connection:
             return needed_among(connection, digests)
     except (sa.exc.SQLAlchemyError, sqlite3.Error):
         return set(digests)
-    finally:
-        engine.dispose()
 
 
 def database_file(url: str) -> Path | None:

@@ -26,19 +26,21 @@ def vector_findings(url: str, *, approximate: bool) -> tuple[str, list[Finding]]
     approximate : bool
         Whether HNSW is searched.
     """
-    engine = dialect.make_reader(url)
-    if engine.dialect.name != "postgresql":  # and its file need not be there
+    if sa.make_url(url).get_backend_name() == "sqlite":
         return "missing", [Finding("REVISIT_INDEX", vector_tables.SQLITE, NEEDED)]
     try:
-        with engine.connect() as plain, dialect.for_reading(plain) as connection, connection.begin():
+        with (
+            dialect.reader(url) as engine,
+            engine.connect() as plain,
+            dialect.for_reading(plain) as connection,
+            connection.begin(),
+        ):
             if (fault := vector_tables.fault(connection)) is not None:
                 return "missing", [Finding("REVISIT_INDEX", fault, NEEDED)]
             found = [one for row in connection.execute(_SEARCHED) if (one := _short(connection, row)) is not None]
             recalls = [(row.name, row.recall) for row in connection.execute(_SEARCHED) if row.recall is not None]
     except sa.exc.SQLAlchemyError as error:
         return "not examined", [Finding(TABLE, f"cannot be read ({getattr(error, 'orig', error)})", "see the server")]
-    finally:
-        engine.dispose()
     if approximate:
         found += [
             Finding(f"map {name}", f"HNSW finds {recall:.1%} of the nearest views", "REVISIT_INDEX=pgvector is exact")

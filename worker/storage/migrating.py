@@ -1,5 +1,6 @@
 """Migrates a database to the tables of this version."""
 
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 
@@ -73,13 +74,10 @@ def migrate(url: str, data: Path, index: str = "faiss") -> str:
     SetupError
         Other processes use the folder, or the database is newer than this version.
     """
-    database = Database(url)
-    try:
+    with closing(Database(url)) as database:
         enter(database, data, may_migrate=True).release()
         if index != "faiss":
             vector_tables.prepare(database)
-    finally:
-        database.close()
     return newest()
 
 

@@ -127,51 +127,37 @@ def _mend_file(url: str, done: list[str]) -> bool:
 
 def _take_over_log(url: str) -> None:
     """Write what can be read of the log to the database, and begin a new log."""
-    with suppress(*UNREADABLE):
-        database = Database(url)
-        try:
-            with database.engine.connect() as connection:
-                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
-        finally:
-            database.close()
+    with suppress(*UNREADABLE), closing(Database(url)) as database, database.engine.connect() as connection:
+        connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
 def _is_malformed(url: str) -> bool:
-    engine = dialect.make_reader(url)
     try:
-        with engine.connect() as connection:
-            names = set(sa.inspect(connection).get_table_names())
-        found = any(finding.where == "database" for finding in structure_findings(engine))
+        with dialect.reader(url) as engine:
+            with engine.connect() as connection:
+                names = set(sa.inspect(connection).get_table_names())
+            found = any(finding.where == "database" for finding in structure_findings(engine))
         whole = not names or METADATA.tables.keys() <= names or _other_revision(url) is not None
         return found or not whole
     except UNREADABLE:
         return True
-    finally:
-        engine.dispose()
 
 
 def _other_revision(url: str) -> str | None:
     """The revision of a database's tables if another version made them, with others than this one's; else None."""
-    engine = dialect.make_reader(url)
     try:
-        with engine.connect() as connection:
+        with dialect.reader(url) as engine, engine.connect() as connection:
             found = migrating.current(connection)
         return None if found == migrating.newest() else found
     except UNREADABLE:
         return None
-    finally:
-        engine.dispose()
 
 
 def _reindexed(url: str) -> bool:
     """Whether the database is whole once its indexes are built anew."""
     try:
-        database = Database(url)
-        try:
-            with database.writing() as connection:
-                connection.exec_driver_sql("REINDEX")
-        finally:
-            database.close()
+        with closing(Database(url)) as database, database.writing() as connection:
+            connection.exec_driver_sql("REINDEX")
     except UNREADABLE:
         return False
     return not _is_malformed(url)
@@ -208,21 +194,20 @@ def _salvage(path: Path) -> str | None:
 
 
 def _copy(old: Path, new: Path) -> dict[str, int]:
-    target = Database(f"sqlite:///{new}")
     counts: dict[str, int] = {}
-    try:
+    with closing(Database(f"sqlite:///{new}")) as target:
         migrating.create(target)
-        source = dialect.make_reader(f"sqlite:///{old}", damaged=True)
-        with source.connect() as reading, closing(sqlite3.connect(new)) as writing:
+        with (
+            dialect.reader(f"sqlite:///{old}", damaged=True) as source,
+            source.connect() as reading,
+            closing(sqlite3.connect(new)) as writing,
+        ):
             writing.execute("PRAGMA foreign_keys=OFF")
             writing.execute("DELETE FROM clock")
             writing.execute("DELETE FROM installation")
             for table in METADATA.sorted_tables:
                 counts[table.name] = _copy_table(reading, writing, table)
             writing.commit()
-        source.dispose()
-    finally:
-        target.close()
     return counts
 
 
@@ -288,12 +273,9 @@ def _remove_objects(url: str, data: Path, images: str, orphans: list[str], *, re
     if rescue:
         yield from (f"{where}: {ORPHAN}; kept: its view may be lost, enrol it again" for where in orphans)
         return
-    database = Database(url)
-    place = open_images(database, data, images)
-    removed = place.discard([where.rpartition("/")[2] for where in orphans]).removed
+    with closing(Database(url)) as database, closing(open_images(database, data, images)) as place:
+        removed = place.discard([where.rpartition("/")[2] for where in orphans]).removed
     yield f"{images}: {removed} of {len(orphans)} images that no view needs were removed"
-    place.close()
-    database.close()
 
 
 def _put_away(data: Path, finding: Finding, *, rescue: bool) -> str:
