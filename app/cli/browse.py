@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.filters import add_filter_options, filters_of
-from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.options import Verbs, add_service_options, json_object, service_of
 from app.cli.output import DONE, say, show, show_json, size, table, wrong_use
 
 if TYPE_CHECKING:
@@ -63,13 +63,12 @@ def add(verbs: Verbs) -> None:
 
 def run_maps(arguments: argparse.Namespace) -> int:
     """List maps, or show, change or delete one."""
-    from revisit_client import Revisit
 
     if arguments.name is None and (arguments.delete or arguments.refuse_poor is not None):
         wrong_use("--delete and --refuse-poor need the name of a map")
     if arguments.delete and arguments.refuse_poor is not None:
         wrong_use("--delete and --refuse-poor exclude each other")
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.delete:
             receipt = revisit.delete_map(arguments.name)
             return _deleted(arguments, receipt, f"{arguments.name}: {receipt.views} views, {receipt.images} images")
@@ -102,7 +101,6 @@ def run_maps(arguments: argparse.Namespace) -> int:
 
 def run_views(arguments: argparse.Namespace) -> int:
     """List views, or show, draw, change or delete one; or delete those of a map that pass filters."""
-    from revisit_client import Revisit
 
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.set is not None or any(drawn.values())):
@@ -114,7 +112,7 @@ def run_views(arguments: argparse.Namespace) -> int:
     _check_what_is_chosen(arguments, filters)
     if arguments.delete and (changes is not None or any(drawn.values())):
         wrong_use("--delete cannot be given with --set, --image, --segmentation or --graph: do those before it")
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.delete and arguments.id is None:
             receipt = revisit.delete_views(arguments.map, **filters)
             return _deleted(arguments, receipt, f"{receipt.views} views, {receipt.images} images")
@@ -192,11 +190,10 @@ def _table(views: "Sequence[View]") -> str:
 
 def run_places(arguments: argparse.Namespace) -> int:
     """List places."""
-    from revisit_client import Revisit
 
     from app.cli.query import position_text
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         places = list(revisit.places(arguments.map))
     if arguments.json:
         show_json([place.model_dump(mode="json") for place in places])

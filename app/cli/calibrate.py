@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.loops import OF_ONE_IMAGE
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, Failure, progress_bar, say, show, show_json, table, wrong_use
 from schemas.values import composed
 
@@ -62,12 +62,12 @@ class Row:
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate; returns 0 also when nothing was kept. Images that the service refuses are left out, and told."""
-    from revisit_client import Revisit, RevisitProblem
+    from revisit_client import RevisitProblem
 
     if (arguments.labels is None) != arguments.forget:
         wrong_use("give either a CSV file of labelled images or --forget")
     if arguments.forget:
-        with Revisit(arguments.url, key=arguments.key) as revisit:
+        with service_of(arguments) as revisit:
             decision = revisit.forget_calibration(arguments.map).decision
         if arguments.json:
             show_json(decision.model_dump(mode="json"))
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
             show(f"the map {arguments.map} decides by the shipped calibration")
         return DONE
     rows = read(arguments.labels)
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         within = max(arguments.within, float(revisit.map(arguments.map).ranking["same_place_m"]))
         _refuse_unknown_places(revisit, arguments.map, rows)
         observed, used, left_out = [], dict[str, Any](), []

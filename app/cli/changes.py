@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, say, show, show_json, table
 
 if TYPE_CHECKING:
@@ -23,9 +23,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare two views."""
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         changes = revisit.changes(arguments.view, arguments.since)
         if arguments.drawing is not None:
             arguments.drawing.write_bytes(revisit.draw_changes(arguments.view, arguments.since))

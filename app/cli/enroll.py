@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from app.cli import images
-from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.options import Verbs, add_service_options, json_object, service_of
 from app.cli.output import DONE, FAILED, Failure, error_text, progress_bar, say, show, show_json, wrong_use
 
 if TYPE_CHECKING:
@@ -93,7 +93,6 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Enrol; returns 1 when some images were refused."""
-    from revisit_client import Revisit
 
     if not 1 <= arguments.parallel <= 64:
         wrong_use("--parallel takes 1 to 64")
@@ -104,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     left_out = [{"file": str(one.path), "reason": one.reason} for one in skipped]
     if arguments.dry_run:
         return _show_dry_run(work, left_out, arguments)
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         summary = _enrolled(revisit, work, arguments.parallel)
     summary.skipped = left_out
     if arguments.json:

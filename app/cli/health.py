@@ -2,7 +2,7 @@
 
 import argparse
 
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, say, show, show_json
 
 
@@ -26,9 +26,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the findings."""
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         health = revisit.health(arguments.map, code=arguments.code, limit=arguments.limit)
     if arguments.json:
         show_json(health.model_dump(mode="json"))

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.options import Verbs, add_service_options, json_object, service_of
 from app.cli.output import DONE, Failure, say, show, show_json, table, wrong_use
 
 if TYPE_CHECKING:
@@ -45,14 +45,13 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what was asked, or list what is kept."""
-    from revisit_client import Revisit
 
     if arguments.accept is None and arguments.unconfirmed:
         wrong_use("--unconfirmed goes with --accept")
     position = json_object("--position", arguments.position, '{"x": 1.5, "y": 2.0}')
     if position is not None and arguments.name is None:
         wrong_use("--position goes with --name")
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.keep is not None:
             facts = revisit.change_map(arguments.map, keep_queries=arguments.keep, keep_matches=arguments.keep)
             return _done(arguments, facts, f"at most {arguments.keep} queries of each kind are kept")

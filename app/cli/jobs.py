@@ -4,7 +4,7 @@ import argparse
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, job_progress, say, show, show_json, table, wrong_use
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """List jobs, or show, follow or cancel one."""
-    from revisit_client import Revisit
 
     filters = {name: getattr(arguments, name) for name in ("map", "kind", "state")}
     if arguments.id is None and (arguments.follow or arguments.cancel):
@@ -45,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         wrong_use("--map, --kind and --state are for lists; give them or the id of a job")
     if arguments.limit < 1:
         wrong_use("--limit is at least 1")
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.id is None:
             jobs = list(islice(revisit.jobs(**filters), arguments.limit))
             _list(jobs, arguments)

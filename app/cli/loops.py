@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import images
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, progress_bar, say, show, show_json, wrong_use
 
 if TYPE_CHECKING:
@@ -62,14 +62,13 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Find loops; returns 0 whether there are any or not. What was found is written also when it ends early."""
-    from revisit_client import Revisit
     from revisit_client.loops import LoopCloser
 
     walk = _walk(arguments)
     for file in (arguments.g2o, arguments.csv):
         if file is not None and (file.is_dir() or not file.absolute().parent.is_dir()):
             wrong_use(f"{file}: cannot be written; name a file in a folder that exists")
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         try:
             closer = LoopCloser(
                 revisit,

@@ -2,9 +2,12 @@
 
 import argparse
 import json
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from app.cli.output import wrong_use
+
+if TYPE_CHECKING:
+    from revisit_client import Revisit
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """The collection that commands are added to; argparse has no public name for it."""
@@ -15,6 +18,13 @@ def add_service_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--url", help="address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)")
     parser.add_argument("--key", help="key of the service; REVISIT_KEY is better, since others can list arguments")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
+
+
+def service_of(arguments: argparse.Namespace) -> "Revisit":
+    """The client of the service that these options name."""
+    from revisit_client import Revisit
+
+    return Revisit(arguments.url, key=arguments.key)
 
 
 def json_object(option: str, text: str | None, example: str) -> dict[str, Any] | None:

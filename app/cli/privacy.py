@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, show, show_json
 
 if TYPE_CHECKING:
@@ -30,11 +30,10 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Change what is asked, then show what the map keeps."""
-    from revisit_client import Revisit
 
     words = None if arguments.blur is None else [word.strip() for word in arguments.blur.split(",") if word.strip()]
     drop = False if arguments.drop_images else None
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if words is None and drop is None:
             facts = revisit.map(arguments.map)
         else:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from app.cli.changes import changes_text
 from app.cli.filters import add_filter_options, filters_of
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, say, show, show_json, table
 
 if TYPE_CHECKING:
@@ -43,10 +43,9 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Query; returns 0 whether the place is known or not."""
-    from revisit_client import Revisit
 
     filters = filters_of(arguments)
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         answer = revisit.query(
             arguments.image,
             map=arguments.map,

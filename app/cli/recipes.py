@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.cli.options import Verbs, add_service_options, json_object
+from app.cli.options import Verbs, add_service_options, json_object, service_of
 from app.cli.output import DONE, job_progress, say, show, show_json, table, wrong_use
 from app.cli.shadow import show_shadow
 
@@ -62,15 +62,13 @@ def _waits(parser: argparse.ArgumentParser) -> None:
 
 def run_vocabulary(arguments: argparse.Namespace) -> int:
     """Train a vocabulary."""
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         return _finished(revisit, revisit.train_vocabulary(arguments.map), arguments)
 
 
 def run_recipe(arguments: argparse.Namespace) -> int:
     """Show a map's recipe and ranking, change the ranking, or switch the recipe."""
-    from revisit_client import Revisit
 
     parameters = json_object("--parameters", arguments.parameters, EXAMPLE)
     ranking = json_object("--ranking", arguments.ranking, EXAMPLE)
@@ -80,7 +78,7 @@ def run_recipe(arguments: argparse.Namespace) -> int:
         wrong_use("--preview needs --dynamic")
     if arguments.shadow is not None and (arguments.preview or not describes):
         wrong_use("--shadow goes with what is to change: --preset, --labels, --dynamic or --parameters")
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.preview:
             return _previewed(revisit.preview_dynamic(arguments.map, dynamic or ()), arguments)
         if describes:

@@ -3,7 +3,7 @@
 import argparse
 
 from app.cli.listening import url_of_environment
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, FAILED, say, show, show_json, table
 
 
@@ -49,9 +49,8 @@ def run_version(arguments: argparse.Namespace) -> int:
         else:
             show(f"revisit {VERSION}")
         return DONE
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         facts = revisit.version().model_dump(mode="json")
     if arguments.json:
         show_json(facts)
@@ -63,8 +62,7 @@ def run_version(arguments: argparse.Namespace) -> int:
 
 def run_openapi(arguments: argparse.Namespace) -> int:
     """Print the OpenAPI document."""
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         show_json(revisit.openapi())
     return DONE

@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, show, show_json, table
 
 if TYPE_CHECKING:
@@ -33,9 +33,8 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Show the shadow of a map, switch to it, or discard it."""
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.switch or arguments.discard:
             return _decided(revisit, arguments)
         found = revisit.shadow(arguments.map)

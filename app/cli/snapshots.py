@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.options import Verbs, add_service_options
+from app.cli.options import Verbs, add_service_options, service_of
 from app.cli.output import DONE, Failure, job_progress, say, show, show_json, size, table, wrong_use
 from app.cli.serve import place_of, settings_of
 
@@ -56,7 +56,6 @@ def _path(text: str) -> Path:
 
 def run_snapshot(arguments: argparse.Namespace) -> int:
     """Make snapshots, and fetch them."""
-    from revisit_client import Revisit
 
     if arguments.list or arguments.fetch is not None or arguments.delete is not None:
         if arguments.map is not None or arguments.all or arguments.keep:
@@ -69,7 +68,7 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
     if arguments.all and arguments.output is not None and not arguments.output.is_dir():
         wrong_use(f"--all writes a file for each map: {arguments.output} needs to be a folder")
     done = []
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         names = [facts.name for facts in revisit.maps()] if arguments.all else [arguments.map]
         for name in names:
             made, path = _fetched(revisit, name, arguments)
@@ -109,9 +108,8 @@ def _downloaded(revisit: "Revisit", made: "Snapshot", output: Path | None) -> Pa
 
 def _of_kept(arguments: argparse.Namespace) -> int:
     """List the snapshots that the service keeps, or fetch or remove one."""
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         if arguments.delete is not None:
             chosen, did = [revisit.delete_snapshot(arguments.delete)], "removed"
         else:
@@ -151,9 +149,8 @@ def run_restore(arguments: argparse.Namespace) -> int:
 
 
 def _sent(arguments: argparse.Namespace) -> "dict[str, object]":
-    from revisit_client import Revisit
 
-    with Revisit(arguments.url, key=arguments.key) as revisit:
+    with service_of(arguments) as revisit:
         return revisit.restore(arguments.file, name=arguments.name).model_dump(mode="json")
 
 
