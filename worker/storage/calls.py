@@ -1,6 +1,5 @@
-"""Calls with an Idempotency-Key, and vocabularies."""
+"""Calls with an Idempotency-Key, and the answers to them."""
 
-import hashlib
 import json
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -9,7 +8,7 @@ from datetime import datetime, timedelta
 
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
+from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, StorageFailed
 from schemas.records import Replay
 from worker.storage import checksums, clock, dialect
 from worker.storage.answers import StoredAnswers, current, ids_in
@@ -17,7 +16,7 @@ from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.rows import as_json
-from worker.storage.tables import CALLS, VOCABULARIES
+from worker.storage.tables import CALLS
 
 KEPT = timedelta(hours=24)
 
@@ -151,28 +150,3 @@ class Calls(Part):
 def _time(connection: sa.Connection, now: datetime, shared: bool) -> datetime:
     """The time by the server's clock where that is wanted and there is a server; else `now`."""
     return now if not shared or dialect.is_file(connection.engine) else clock.shared_time(connection)
-
-
-def keep_vocabulary(connection: sa.Connection, digest: str, tensors: bytes) -> None:
-    """Store safetensors bytes under their SHA-256; a second time does nothing."""
-    if connection.scalar(sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == digest)) is None:
-        connection.execute(sa.insert(VOCABULARIES).values(digest=digest, tensors=bytes(tensors)))
-
-
-class Vocabularies(Part):
-    """Trained vocabularies by digest."""
-
-    def keep(self, digest: str, tensors: bytes) -> None:
-        """As `keep_vocabulary`, for tests and studies: without a recipe that names it, it is pruned soon."""
-        with self._database.writing() as connection:
-            keep_vocabulary(connection, digest, tensors)
-
-    def get(self, digest: str) -> bytes:
-        """The safetensors bytes of a vocabulary; raises NotFound."""
-        with self._database.reading() as connection:
-            tensors = connection.scalar(sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == digest))
-        if tensors is None:
-            raise NotFound("vocabulary", digest)
-        if hashlib.sha256(tensors).hexdigest() != digest:
-            raise Damaged(f"the stored vocabulary {digest} is damaged; train the map another one, or restore a backup")
-        return bytes(tensors)

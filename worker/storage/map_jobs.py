@@ -21,12 +21,12 @@ from schemas.errors import Cancelled, Conflict, Damaged, LeaseLost, NotFound, Re
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import Failure, JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, deleted_images, forgetting, switching
-from worker.storage.calls import keep_vocabulary
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, map_record, maps_named
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
+from worker.storage.vocabularies import keep_vocabulary
 
 WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before it was finished; see the worker's log"
 

@@ -35,7 +35,8 @@ from worker.storage.snapshot_files import (
     SnapshotReader,
 )
 from worker.storage.snapshot_rows import attributes, description_rows, image_facts, read_comparisons, read_views
-from worker.storage.tables import COMPARISONS, MAPS, VIEWS, VOCABULARIES
+from worker.storage.tables import COMPARISONS, MAPS, VIEWS
+from worker.storage.vocabularies import keep_vocabulary
 
 TAKEN = "the map {!r} exists already; restore under another name (`as`), or delete that map first"
 
@@ -260,9 +261,8 @@ class _Restoration:
         facts = self._facts
         with self._database.writing() as connection:
             self._given_up_at = _given_up_at(connection)
-            kept = sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == self._recipe.vocabulary)
-            if tensors is not None and connection.scalar(kept) is None:
-                connection.execute(inserting(VOCABULARIES), {"digest": self._recipe.vocabulary, "tensors": tensors})
+            if tensors is not None:
+                keep_vocabulary(connection, str(self._recipe.vocabulary), tensors)
             born = clock.read(connection)
             columns = {
                 "recipe": keep_recipe(connection, self._recipe),

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from schemas.statistics import StoreStatistics
 from worker.storage import dialect, statistics, wal
-from worker.storage.calls import Calls, Vocabularies
+from worker.storage.calls import Calls
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
 from worker.storage.day_scores import DayScores
@@ -43,6 +43,7 @@ from worker.storage.vector_hnsw import VectorIndexing
 from worker.storage.vector_search import VectorSearch
 from worker.storage.vector_tables import prepare
 from worker.storage.views import Views
+from worker.storage.vocabularies import Vocabularies
 from worker.storage.workers import Workers
 
 log = logging.getLogger("revisit")
