@@ -13,6 +13,7 @@ from schemas.errors import Conflict
 from worker.storage import switching
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore, forgets
+from worker.storage.rows import has_views
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -39,7 +40,7 @@ def set_keep_images(connection: sa.Connection, row: sa.Row[Any], wanted: bool) -
     """
     if wanted != bool(row.drop_images):
         return not wanted  # again: removing the images may have broken off the first time
-    if wanted and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
+    if wanted and has_views(connection, row.id):
         raise Conflict(
             f"the map {row.name!r} has views whose images are gone; a new map keeps the images enrolled in it"
         )

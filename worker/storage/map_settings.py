@@ -11,8 +11,8 @@ from schemas.recipe import MapRecipe, RankingConfig
 from worker.storage import forgetting, switching
 from worker.storage.day_scores import drop_scores
 from worker.storage.kept_queries import drop_oldest
-from worker.storage.rows import as_json, blur_of, find_map, find_recipe, map_record, ranking_of
-from worker.storage.tables import MAPS, VIEWS
+from worker.storage.rows import as_json, blur_of, find_map, find_recipe, has_views, map_record, ranking_of
+from worker.storage.tables import MAPS
 
 
 def change(connection: sa.Connection, name: str, changes: MapChanges) -> int | None:
@@ -76,7 +76,7 @@ def _changed_too(
 
 def _set_blur(connection: sa.Connection, row: sa.Row[Any], words: tuple[str, ...]) -> None:
     added = [word for word in words if word not in blur_of(row)]
-    if added and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
+    if added and has_views(connection, row.id):
         raise Conflict(
             f"the map {row.name!r} has views whose images were stored with {', '.join(added)} to be seen; blur "
             "them in a new map, before its first view, and enrol the images there"

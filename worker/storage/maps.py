@@ -18,6 +18,7 @@ from worker.storage.rows import (
     blur_of,
     find_map,
     find_recipe,
+    has_views,
     keep_recipe,
     log,
     map_by,
@@ -171,7 +172,7 @@ class Maps(Part):
             if row is None:
                 make_map(connection, name, recipe, now)
             elif (row.recipe, row.ranking) != (recipe.description.id, recipe.ranking.model_dump_json()):
-                if connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)) is not None:
+                if has_views(connection, row.id):
                     raise Conflict(
                         f"the map {name!r} has views that were described by the recipe {row.recipe}; "
                         f"POST /maps/{name}/recipe describes them anew, PATCH /maps/{name} changes the ranking alone"

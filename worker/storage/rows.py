@@ -60,6 +60,11 @@ def inserting(table: sa.Table) -> sa.Insert:
 # maps
 
 
+def has_views(connection: sa.Connection, map_id: int) -> bool:
+    """Whether a map has any view, in whatever state."""
+    return connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).limit(1)) is not None
+
+
 NO_MAP = "GET /maps lists all there are; the first enrolment into a map makes it"
 
 
