@@ -77,8 +77,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
         else:
             maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
     if arguments.json:
-        found = [facts.model_dump(mode="json") for facts in maps]
-        show_json(found if arguments.name is None else found[0])
+        show_json(maps if arguments.name is None else maps[0])
         return DONE
     if not maps:
         show("nothing is enrolled yet: `./revisit enroll IMAGE...`")
@@ -122,7 +121,7 @@ def run_views(arguments: argparse.Namespace) -> int:
         if arguments.id is not None:
             _draw(revisit, arguments.id, drawn)
             view = revisit.view(arguments.id) if changes is None else revisit.patch(arguments.id, **changes)
-            show_json(view.model_dump(mode="json"))  # it has too many fields for a table
+            show_json(view)  # it has too many fields for a table
             return DONE
         views = list(
             revisit.views(
@@ -135,7 +134,7 @@ def run_views(arguments: argparse.Namespace) -> int:
             )
         )
     if arguments.json:
-        show_json([view.model_dump(mode="json") for view in views])
+        show_json(views)
         return DONE
     show(_table(views))
     if len(views) == limit:
@@ -196,7 +195,7 @@ def run_places(arguments: argparse.Namespace) -> int:
     with service_of(arguments) as revisit:
         places = list(revisit.places(arguments.map))
     if arguments.json:
-        show_json([place.model_dump(mode="json") for place in places])
+        show_json(places)
         return DONE
     if not places:
         show("no view has the name of a place; `./revisit views` lists them")
@@ -214,7 +213,7 @@ def _deleted(arguments: argparse.Namespace, receipt: "Deleted", what: str) -> in
     if receipt.snapshots_of_others:
         named.append(f"{receipt.snapshots_of_others} of other maps")
     if arguments.json:
-        show_json(receipt.model_dump(mode="json"))
+        show_json(receipt)
     else:
         left = f"; snapshots that may still have some of it: {', '.join(named)}" if named else ""
         show(f"deleted {what}{left}")

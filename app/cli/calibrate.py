@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         with service_of(arguments) as revisit:
             decision = revisit.forget_calibration(arguments.map).decision
         if arguments.json:
-            show_json(decision.model_dump(mode="json"))
+            show_json(decision)
         else:
             show(f"the map {arguments.map} decides by the shipped calibration")
         return DONE
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise Failure("the service took none of the labelled images")
         report = revisit.calibrate(arguments.map, observed=observed, dry_run=arguments.dry_run, **used)
     if arguments.json:
-        show_json(report.model_dump(mode="json"))
+        show_json(report)
     else:
         show(report_text(report))
     return DONE

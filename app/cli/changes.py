@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.drawing.write_bytes(revisit.draw_changes(arguments.view, arguments.since))
             say(f"changes: {arguments.drawing}")
     if arguments.json:
-        show_json(changes.model_dump(mode="json"))
+        show_json(changes)
     else:
         show(changes_text(changes))
     return DONE

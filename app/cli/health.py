@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     with service_of(arguments) as revisit:
         health = revisit.health(arguments.map, code=arguments.code, limit=arguments.limit)
     if arguments.json:
-        show_json(health.model_dump(mode="json"))
+        show_json(health)
         return DONE
     for finding in health.findings:
         show(f"{finding.code}: {finding.detail}\n    {finding.remedy}")

@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.images is not None:
             _save(revisit, arguments.map, arguments.images, unknown, proposals)
     if arguments.json:
-        show_json({"unknown": unknown.model_dump(mode="json"), "proposals": proposals.model_dump(mode="json")})
+        show_json({"unknown": unknown, "proposals": proposals})
     else:
         _list(unknown, proposals)
     return DONE
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _done(arguments: argparse.Namespace, answer: "BaseModel", text: str) -> int:
     """Tell what became of a call."""
     if arguments.json:
-        show_json(answer.model_dump(mode="json"))
+        show_json(answer)
     else:
         say(f"{arguments.map}: {text}")
     return DONE
@@ -140,7 +140,7 @@ def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Propo
         if not arguments.json:
             show(f"{one.place or f'view {one.view}'}: {', '.join(view.id for view in accepted.views)}")
     if arguments.json:
-        show_json([accepted.model_dump(mode="json") for accepted in done])
+        show_json(done)
         return DONE
     taken = sum(len(accepted.views) for accepted in done)
     say(f"{arguments.map}: {taken} views added to {len(done)} places; they are described in the background")

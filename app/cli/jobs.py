@@ -58,13 +58,13 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             job = revisit.job(arguments.id)
     # A job has too many fields for a table.
-    show_json(job.model_dump(mode="json"))
+    show_json(job)
     return DONE
 
 
 def _list(jobs: "list[Job]", arguments: argparse.Namespace) -> None:
     if arguments.json:
-        show_json([job.model_dump(mode="json") for job in jobs])
+        show_json(jobs)
         return
     heads = ("job", "kind", "map", "state", "progress", "created", "finished")
     show(table(heads, [_row(job) for job in jobs]))

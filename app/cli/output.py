@@ -45,9 +45,14 @@ def show(text: str) -> None:
 
 
 def show_json(value: Any) -> None:
-    """Print a result on stdout as JSON."""
+    """Print a result on stdout as JSON; it may be a model, or have some in it."""
     escaped = _encoding(sys.stdout) != "utf-8"  # a letter that the terminal does not have is \u00e9 in JSON alone
-    print(_printable(json.dumps(value, indent=2, ensure_ascii=escaped, default=str), sys.stdout), flush=True)
+    print(_printable(json.dumps(value, indent=2, ensure_ascii=escaped, default=_plain), sys.stdout), flush=True)
+
+
+def _plain(value: object) -> Any:
+    """A model as an object, anything else that JSON has no form for as text."""
+    return value.model_dump(mode="json") if hasattr(value, "model_dump") else str(value)
 
 
 def _printable(text: str, stream: TextIO) -> str:

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
             **filters,
         )
         if arguments.json:  # before anything is written: a mistyped folder is no reason to lose the answer
-            show_json(answer.model_dump(mode="json"))
+            show_json(answer)
         else:
             show(answer_text(answer))
         if arguments.explain is not None and answer.matches:

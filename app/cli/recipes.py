@@ -107,7 +107,7 @@ def run_recipe(arguments: argparse.Namespace) -> int:
 
 def _previewed(preview: "DynamicPreview", arguments: argparse.Namespace) -> int:
     if arguments.json:
-        show_json(preview.model_dump(mode="json"))
+        show_json(preview)
         return DONE
     left_out = f"at most {preview.after:.1%} of their area would be left out, {preview.before:.1%} are now"
     show(f"{preview.views} views; {left_out}")
@@ -146,7 +146,7 @@ def _finished(revisit: "Revisit", job: "Job", arguments: argparse.Namespace) -> 
         with job_progress(f"images, {job.kind} of map {job.map}", quiet=arguments.json) as follow:
             job = revisit.wait_for_job(job.id, timeout=24 * 3600, follow=follow)
     if arguments.json:
-        show_json(job.model_dump(mode="json"))
+        show_json(job)
     else:
         show(f"{job.kind} of map {job.map}: {job.state}")
         if job.kind == "shadow" and job.state == "done":

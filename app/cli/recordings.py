@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
             with job_progress("images", quiet=arguments.json) as follow:
                 job = revisit.wait_for_job(job.id, timeout=float("inf"), follow=follow)
     if arguments.json:
-        show_json(job.model_dump(mode="json"))
+        show_json(job)
     elif job.result is None:
         show(f"job {job.id} of map {job.map}: {job.state}")
     else:

@@ -30,7 +30,7 @@ def run_healthcheck(arguments: argparse.Namespace) -> int:
     with Revisit(url, key=arguments.key, timeout=5, patience=0) as revisit:
         readiness = revisit.readyz()
     if arguments.json:
-        show_json(readiness.model_dump(mode="json"))
+        show_json(readiness)
     elif readiness.ready:
         show("ready")
     else:

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
             return _decided(revisit, arguments)
         found = revisit.shadow(arguments.map)
     if arguments.json:
-        show_json(found.model_dump(mode="json"))
+        show_json(found)
     else:
         show_shadow(found, everything=arguments.all)
     return DONE
@@ -51,7 +51,7 @@ def _decided(revisit: "Revisit", arguments: argparse.Namespace) -> int:
     else:
         job = revisit.discard_shadow(arguments.map)
     if arguments.json:
-        show_json(job.model_dump(mode="json"))
+        show_json(job)
     elif arguments.switch:
         show(f"map {job.map} has changed over to its shadow")
     else:

@@ -120,7 +120,7 @@ def _of_kept(arguments: argparse.Namespace) -> int:
                 raise Failure(f"the service keeps no snapshot {arguments.fetch}; `revisit snapshot --list` lists them")
             did = f"fetched to {_downloaded(revisit, chosen[0], arguments.output)}"
     if arguments.json:
-        show_json([one.model_dump(mode="json") for one in chosen])
+        show_json(chosen)
     elif did:
         show(f"{chosen[0].id}: {chosen[0].views} views of map {chosen[0].map}, {size(chosen[0].bytes)}, {did}")
     else:
