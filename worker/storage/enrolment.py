@@ -26,6 +26,7 @@ from worker.storage.rows import (
     attribute_columns,
     attributes_of,
     blur_of,
+    change_view,
     find_map,
     find_view,
     has_whole_attributes,
@@ -214,23 +215,14 @@ class Enrolment(Part):
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
             set_aside_views(connection, [view.seq], options.now)  # nobody may have read it since it was damaged
-            columns = {
-                **view._mapping,
-                "map_id": row.id,
-                "enrolled_at": options.now,
-                **image,
-                **attribute_columns(attributes),
-            }
-            changed = {name: columns[name] for name in checksums.COVERED[VIEWS.name]}
-            changed |= {"state": "failed", "checksum": checksums.of_row(VIEWS, columns)}
-            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
+            anew = {"map_id": row.id, "enrolled_at": options.now, **image, **attribute_columns(attributes)}
+            change_view(connection, view, {**anew, "state": "failed"})
             keep_pairs(connection, view.seq, attributes)
             clock.tick_edited(connection, row.id)
             view = find_view(connection, view.id)
         elif view.sha256 != image["sha256"] and (view.state == "failed" or not self._is_readable(view.sha256)):
             # Blurred anew, by another network or on another machine, it came out otherwise.
-            changed = {**image, "checksum": checksums.of_row(VIEWS, {**view._mapping, **image})}
-            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
+            change_view(connection, view, image)
             view = find_view(connection, view.id)
         differing = contradictions(attributes_of(view), attributes)
         if differing:

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache, lru_cache
 from typing import Any
 
@@ -276,6 +276,12 @@ def views_of(*, by_given: bool = False) -> sa.Select[Any]:
 @cache
 def _view_of_id() -> sa.Select[Any]:
     return view_rows().where(VIEWS.c.id == sa.bindparam("of"))
+
+
+def change_view(connection: sa.Connection, row: sa.Row[Any], columns: Mapping[str, Any]) -> None:
+    """Set columns of a view whose row was read in the same transaction, and its checksum by them."""
+    checksum = checksums.of_row(VIEWS, {**row._mapping, **columns})
+    connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == row.seq).values(**columns, checksum=checksum))
 
 
 # attributes of a view

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from schemas.description import Floats
 from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
-from worker.storage import checksums, clock
+from worker.storage import clock
 from worker.storage.answers import StoredAnswers
 from worker.storage.comparisons import outdate
 from worker.storage.damage import ATTRIBUTES
@@ -26,6 +26,7 @@ from worker.storage.rows import (
     attribute_columns,
     attributes_of,
     batches,
+    change_view,
     find_map,
     find_recipe,
     find_view,
@@ -177,8 +178,7 @@ class Views(Part):
             attributes = change(attributes_of(before))
             columns = attribute_columns(attributes)
             if had := {column: was for column, value in columns.items() if (was := getattr(before, column)) != value}:
-                sealed = {**columns, "checksum": checksums.of_row(VIEWS, {**before._mapping, **columns})}
-                connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**sealed))
+                change_view(connection, before, columns)
                 keep_pairs(connection, before.seq, attributes)
                 connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
                 if not had.keys().isdisjoint(("place", *COORDINATES)):
