@@ -2,12 +2,13 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 from app.http import enrolment_presenters, query_presenters
 from app.http.long_work import LongWork
@@ -20,6 +21,8 @@ from worker.service.enroll import Accepted, EnrollService
 from worker.service.query import QueryService
 from worker.service.query_options import QueryOptions
 from worker.service.settlements import Settlements
+
+T = TypeVar("T")
 
 SEARCHING = 8
 """Threads for queries that search, beside one for each query that may wait for the encoder."""
@@ -92,35 +95,26 @@ class Recogniser:
             static cells, and one that another call was told of meanwhile, which are kept as `failed` views.
         """
         until = time.monotonic() + self._wait_s
+        submit = partial(self._enroll.submit, waits=wait, refuse_poor=refuse_poor, exif=exif)
         accepted = [
-            await self._submit(data, map_name, replace(attributes, filename=name), wait, refuse_poor, exif)
+            await _or_refusal(self._storing.run(submit, data, map_name, replace(attributes, filename=name)))
             for name, data in images
         ]
-        return [one if isinstance(one, RevisitError) else await self._outcome(one, wait, until) for one in accepted]
+        return [
+            one if isinstance(one, RevisitError) else await _or_refusal(self._outcome(one, wait, until))
+            for one in accepted
+        ]
 
-    async def _submit(
-        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool | None, exif: bool
-    ) -> Accepted | RevisitError:
-        try:
-            return await self._storing.run(
-                self._enroll.submit, data, map_name, attributes, waits=wait, refuse_poor=refuse_poor, exif=exif
-            )
-        except RevisitError as error:
-            return error
-
-    async def _outcome(self, accepted: Accepted, wait: bool, until: float) -> wire.Enrolled | RevisitError:
+    async def _outcome(self, accepted: Accepted, wait: bool, until: float) -> wire.Enrolled:
         view = None
         hopeless = accepted.expected_s > self._wait_s
-        try:
-            if wait and accepted.submitted.job_id is not None and not hopeless:
-                describing = time.perf_counter()
-                with suppress(StorageFailed):  # while it waits: the view is durable, and described later
-                    view = await settled(self._settlements, accepted.submitted.view.id, until)
-                waited_ms = (time.perf_counter() - describing) * 1000
-                accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
-            return enrolment_presenters.enrolled(await asyncio.to_thread(self._enroll.outcome, accepted, view))
-        except RevisitError as error:
-            return error
+        if wait and accepted.submitted.job_id is not None and not hopeless:
+            describing = time.perf_counter()
+            with suppress(StorageFailed):  # while it waits: the view is durable, and described later
+                view = await settled(self._settlements, accepted.submitted.view.id, until)
+            waited_ms = (time.perf_counter() - describing) * 1000
+            accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
+        return enrolment_presenters.enrolled(await asyncio.to_thread(self._enroll.outcome, accepted, view))
 
     async def query(
         self, image: bytes, *maps: str, options: QueryOptions, caller: Caller | None = None
@@ -131,3 +125,11 @@ class Recogniser:
         answer = query_presenters.query_answer(result)
         self._tell(answer)
         return answer
+
+
+async def _or_refusal(work: Awaitable[T]) -> T | RevisitError:
+    """The result of a part of a call, or the error that refuses this part alone."""
+    try:
+        return await work
+    except RevisitError as error:
+        return error
