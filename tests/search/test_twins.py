@@ -8,7 +8,6 @@ from schemas.health import HealthFinding, SurveyedView
 from tests.storage.material import RECIPE
 from worker.service.calibrations import shipped_calibration
 from worker.service.match_standard import MatchStandard
-from worker.service.spots import label
 from worker.service.twins import find_twins
 
 LEVELS = MapLevels(2000, 0.3, 0.05, 1000.0, None, 1)
@@ -33,7 +32,7 @@ def view(seq: int, place: str, same_spot: tuple[int, ...]) -> SurveyedView:
 
 
 def twins(views: list[SurveyedView]) -> list[HealthFinding]:
-    return list(find_twins(views, PLACE_M, STANDARD, label))
+    return list(find_twins(views, PLACE_M, STANDARD))
 
 
 def test_views_are_gone_through_as_often_for_many_pairs_as_for_one() -> None:

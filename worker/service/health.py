@@ -126,7 +126,7 @@ class HealthService:
         standard = MatchStandard(record.ranking.precision, levels, self._calibration(record))
         groups = by_place(views, within)
         found = [
-            *find_twins(views, within, standard, label),
+            *find_twins(views, within, standard),
             *self._duplicates(views, record.description.id),
             *_narrow(views, groups, within),
         ]

@@ -1,13 +1,14 @@
 """Twins: pairs of places that a map takes for each other, from the comparisons of its views with one another."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from schemas.comparisons import Comparison
 from schemas.health import HealthFinding, SurveyedView
 from worker.method.places import Places
 from worker.service.match_standard import MatchStandard
+from worker.service.spots import label
 
 SHOWN = 10
 """Views that a finding names at most."""
@@ -33,12 +34,7 @@ class _Pair:
         self.views.update(dict.fromkeys(views))
 
 
-def find_twins(
-    views: Sequence[SurveyedView],
-    same_place_m: float,
-    standard: MatchStandard,
-    label: Callable[[SurveyedView], str],
-) -> Iterator[HealthFinding]:
+def find_twins(views: Sequence[SurveyedView], same_place_m: float, standard: MatchStandard) -> Iterator[HealthFinding]:
     """Twins among the views.
 
     Two views of places that the user tells apart, by name or by position, make twins of these when the map's own
