@@ -99,12 +99,7 @@ def sheet(
     """
     first = explained.is_first(scored)
     ours = cells_of(explained, scored, stored.get(scored.seq))
-    match = Photo(
-        _pixels(scored.view, image),
-        f"enrolled: {name_of(scored.view)}",
-        _caption(scored, ours, image, "first match" if first else f"rank {explained.rank(scored)}"),
-        None if ours is None else ours.of_candidate(),
-    )
+    match = _enrolled(scored, image, ours, "first match" if first else f"rank {explained.rank(scored)}")
     notes, rival, contrasted = _notes(explained, scored, ours), None, None
     compared = explained.description.cells.size > 0 and scored.dense is not None
     if compared and ours is None:
@@ -112,10 +107,7 @@ def sheet(
     if other is not None:
         against, photo = other
         theirs = cells_of(explained, against, stored.get(against.seq))
-        role = "rival" if first else "first match"
-        cells = None if theirs is None else theirs.of_candidate()
-        title, caption = f"enrolled: {name_of(against.view)}", _caption(against, theirs, photo, role)
-        rival = Photo(_pixels(against.view, photo), title, caption, cells)
+        rival = _enrolled(against, photo, theirs, "rival" if first else "first match")
         if compared and against.dense is not None and theirs is None:
             notes.append(ANEW.format(_short(name_of(against.view))))
         if ours is not None and theirs is not None:
@@ -158,7 +150,8 @@ def _short(name: str) -> str:
     return name if len(name) <= LONGEST else f"{name[:half]}…{name[-half:]}"
 
 
-def _caption(scored: ScoredView, cells: CellEvidence | None, photo: Pixels | None, role: str) -> str:
+def _enrolled(scored: ScoredView, photo: Pixels | None, cells: CellEvidence | None, role: str) -> Photo:
+    """The photo of a view, with its name, what agrees, and the cells that do."""
     told = [role, f"score {scored.score:.3f}"]
     if cells is not None:
         told.append(f"{len(cells.weight)} cells agree")
@@ -166,7 +159,8 @@ def _caption(scored: ScoredView, cells: CellEvidence | None, photo: Pixels | Non
         told.append(f"{scored.verified.inliers} keypoints fit")
     if photo is None:
         told.append("image not kept")
-    return " · ".join(told)
+    agreeing = None if cells is None else cells.of_candidate()
+    return Photo(_pixels(scored.view, photo), f"enrolled: {name_of(scored.view)}", " · ".join(told), agreeing)
 
 
 def _parts(scored: ScoredView, other: ScoredView | None) -> list[Part]:
