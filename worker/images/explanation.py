@@ -307,6 +307,23 @@ def _bulleted(note: str, width: int) -> list[tuple[str, bool]]:
 
 def _key(sheet: Sheet) -> Pixels:
     """What the marks mean; only those that are drawn."""
+    entries = _drawn_marks(sheet)
+    places, x, y = [], MARGIN, 0
+    for _, name, _ in entries:
+        needed = 34 + text.width(name, 14) + 26
+        if x + needed > WIDTH - MARGIN and x > MARGIN:
+            x, y = MARGIN, y + 24
+        places.append((x, y))
+        x += needed
+    band = _blank(y + 44 if entries else 12)
+    for (mark, name, tint), (x, y) in zip(entries, places, strict=True):
+        _draw_mark(band, mark, (x, y + 10), tint)
+        text.write(band, name, (x + 34, y + 22), 14, FAINT)
+    return band
+
+
+def _drawn_marks(sheet: Sheet) -> list[tuple[str, str, Colour]]:
+    """The marks of a sheet: kind, meaning and colour of each."""
     entries: list[tuple[str, str, Colour]] = []
     if sheet.match.cells is not None:
         entries.append(("cell", "cells that agree with the match; stronger tint: more weight", FOR_MATCH))
@@ -321,23 +338,17 @@ def _key(sheet: Sheet) -> Pixels:
     if sheet.nodes:
         share = f"region of the context graph, at least {100 * SMALLEST_SHARE:.0f} % of the image"
         entries.append(("disc", share, FAINT))
-    places, x, y = [], MARGIN, 0
-    for _, name, _ in entries:
-        needed = 34 + text.width(name, 14) + 26
-        if x + needed > WIDTH - MARGIN and x > MARGIN:
-            x, y = MARGIN, y + 24
-        places.append((x, y))
-        x += needed
-    band = _blank(y + 44 if entries else 12)
-    for (mark, name, tint), (x, y) in zip(entries, places, strict=True):
-        box = (x, y + 10), (x + 24, y + 24)
-        if mark == "cell":
-            cv2.rectangle(band, *box, tint, -1)
-        elif mark == "outline":
-            cv2.rectangle(band, *box, tint, 2)
-        elif mark == "line":
-            cv2.line(band, (x, y + 17), (x + 24, y + 17), tint, 2, cv2.LINE_AA)
-        else:
-            cv2.circle(band, (x + 12, y + 17), 8, tint, -1, cv2.LINE_AA)
-        text.write(band, name, (x + 34, y + 22), 14, FAINT)
-    return band
+    return entries
+
+
+def _draw_mark(band: Pixels, mark: str, corner: tuple[int, int], tint: Colour) -> None:
+    """Draw a mark of 24 x 14 pixels; `corner` is its upper left one."""
+    x, y = corner
+    if mark == "cell":
+        cv2.rectangle(band, corner, (x + 24, y + 14), tint, -1)
+    elif mark == "outline":
+        cv2.rectangle(band, corner, (x + 24, y + 14), tint, 2)
+    elif mark == "line":
+        cv2.line(band, (x, y + 7), (x + 24, y + 7), tint, 2, cv2.LINE_AA)
+    else:
+        cv2.circle(band, (x + 12, y + 7), 8, tint, -1, cv2.LINE_AA)
