@@ -160,6 +160,7 @@ class Loop:
         self._map_thread = threading.Thread(target=self._run_map_jobs, name="revisit-map-jobs", daemon=True)
         self._map_awake = threading.Event()
         self._idle = threading.Event()
+        self._pruned = -PRUNE_EVERY_S  # when there was nothing left to prune, of a monotonic clock
         self._on_finish: list[Callable[[str], None]] = []
 
     def on_finish(self, notify: Callable[[str], None]) -> None:
@@ -197,34 +198,49 @@ class Loop:
     def run(self) -> None:
         """Describe images until `stop`; an error with one image fails that image's job, never the loop."""
         underway: list[_Underway] = []
-        unsure = False  # whether jobs may be claimed that this worker does not know of
+
+        def take_back() -> None:
+            self._jobs.take_back(self._name, [item.claim.job_id for item in underway], describe=True)
+
+        self._repeat(lambda: self._describe_next(underway), take_back, self._trouble)
+        for item in underway:
+            self._put_back(item)
+
+    def _repeat(self, step: Callable[[], None], take_back: Callable[[], object], trouble: StoringTrouble) -> None:
+        """Do a step again and again until `stop`.
+
+        After a failure jobs may be claimed that this worker does not know of: `take_back` puts them back.
+        """
+        unsure = False
         while not self._stopping.is_set():
             try:
                 if unsure:
-                    self._jobs.take_back(self._name, [item.claim.job_id for item in underway], describe=True)
+                    take_back()
                     unsure = False
-                if self._trouble.error is None or not underway:
-                    self._take(AHEAD * self._batch - len(underway), underway)
-                if underway:
-                    self._idle.clear()
-                    with _log_fields(underway[0].claim):
-                        self._settle(underway[0])
-                    underway.pop(0)
-                else:
-                    self._trouble.ends()  # looking for jobs, which needs the store, went well
-                    self._decoded.clear()
-                    self._idle.set()
-                    self._awake.wait(IDLE_S)
-                    self._awake.clear()
+                step()
             except STORAGE_ERRORS as error:
                 unsure = True
-                self._stopping.wait(self._trouble.begins(error))
+                self._stopping.wait(trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
                 unsure = True
                 self._stopping.wait(IDLE_S)
-        for item in underway:
-            self._put_back(item)
+
+    def _describe_next(self, underway: list[_Underway]) -> None:
+        """Claim jobs, and settle the first of those under way; where there is none, wait until there may be."""
+        if self._trouble.error is None or not underway:
+            self._take(AHEAD * self._batch - len(underway), underway)
+        if underway:
+            self._idle.clear()
+            with _log_fields(underway[0].claim):
+                self._settle(underway[0])
+            underway.pop(0)
+        else:
+            self._trouble.ends()  # looking for jobs, which needs the store, went well
+            self._decoded.clear()
+            self._idle.set()
+            self._awake.wait(IDLE_S)
+            self._awake.clear()
 
     def _put_back(self, item: _Underway) -> None:
         """When the loop stops: release a job that has not begun, else store its description if that is possible."""
@@ -239,34 +255,26 @@ class Loop:
 
     def _run_map_jobs(self) -> None:
         """Run jobs of maps; when none waits, compare views and prune; until `stop`."""
-        pruned = -PRUNE_EVERY_S
-        unsure = False  # whether a job may be claimed that nobody does
-        while not self._stopping.is_set():
-            try:
-                if unsure:
-                    self._jobs.take_back(self._name, (), describe=False)
-                    unsure = False
-                claim = self._jobs.claim_map_job(self._name, _now())
-                if claim is not None:
-                    with bound(job_id=claim.job_id, map=claim.map):
-                        self._map_jobs[claim.kind](claim, self._stopping.is_set)
-                    continue
-                if time.monotonic() - pruned >= PRUNE_EVERY_S:
-                    if self._pruning.prune():
-                        continue
-                    pruned = time.monotonic()
-                compared = self._compare(not self._idle.is_set(), self._map_awake.wait)
-                self._map_trouble.ends()
-                if not compared:
-                    self._map_awake.wait(MAP_WORK_EVERY_S)
-                self._map_awake.clear()
-            except STORAGE_ERRORS as error:
-                unsure = True
-                self._stopping.wait(self._map_trouble.begins(error))
-            except Exception:
-                log.exception("the worker goes on after a failure of its own")
-                unsure = True
-                self._stopping.wait(IDLE_S)
+        self._repeat(
+            self._work_on_maps, lambda: self._jobs.take_back(self._name, (), describe=False), self._map_trouble
+        )
+
+    def _work_on_maps(self) -> None:
+        """Run a job of a map, or prune, or compare views."""
+        claim = self._jobs.claim_map_job(self._name, _now())
+        if claim is not None:
+            with bound(job_id=claim.job_id, map=claim.map):
+                self._map_jobs[claim.kind](claim, self._stopping.is_set)
+            return
+        if time.monotonic() - self._pruned >= PRUNE_EVERY_S:
+            if self._pruning.prune():
+                return
+            self._pruned = time.monotonic()
+        compared = self._compare(not self._idle.is_set(), self._map_awake.wait)
+        self._map_trouble.ends()
+        if not compared:
+            self._map_awake.wait(MAP_WORK_EVERY_S)
+        self._map_awake.clear()
 
     def _take(self, count: int, underway: list[_Underway]) -> None:
         """Claim up to `count` jobs and begin them; each is added to `underway`, even if others fail to begin."""
