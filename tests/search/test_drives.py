@@ -13,7 +13,7 @@ from schemas.records import Position
 from worker.method.decision import GROUPED, Decision, PlaceProbability, confidences
 from worker.method.places import Places
 from worker.method.reasons import SURE
-from worker.service.drives import DRIVEN, Driven, Drives
+from worker.service.drives import DRIVEN, LEADS, LIKELIER, Driven, Drives
 
 VIEWS, CANDIDATES, THRESHOLD = 200, 45, 0.9
 ALONG_A_PATH = {seq: KnownView(None, Position(x=2.0 * seq, y=0.0)) for seq in range(VIEWS)}
@@ -102,3 +102,17 @@ def test_it_is_sure_only_where_its_confidence_reaches_the_threshold() -> None:
                 assert more.confidence == pytest.approx(led.confidence)
                 counted += 1
     assert counted > 10
+
+
+def test_the_place_of_the_drive_comes_first_where_the_image_hardly_tells_one_from_another() -> None:
+    """Its verdict is the image's own as long as that place is not likelier than everything else."""
+    led = 0
+    for seed in range(40):
+        for decision, said, _ in driven(NAMED, seed)[1:]:
+            likeliest = said.posterior[0].probability
+            if said.single_status != "matched" and LEADS <= likeliest < LIKELIER:
+                assert decision.status == said.single_status
+                assert decision.confidence == pytest.approx(likeliest)
+                assert said.posterior[0].views[0] == 0
+                led += 1
+    assert led > 5

@@ -27,6 +27,10 @@ MOST = 1000
 LIKELIER = 0.5
 """Probability from which a place is likelier than everything else together."""
 
+LEADS = 0.2
+"""Probability from which the place that a drive finds likeliest comes before those of an image that is not `matched`:
+by itself such an image hardly tells one place from another."""
+
 TOGETHER = Reason("sure", "the images of this drive together single out one place", "nothing")
 LEANING = Reason(
     "weak",
@@ -116,9 +120,10 @@ class Drives:
         """Take one more image of a drive into account.
 
         Where the images together are as sure as the precision asks for, the decision is theirs and the views of their
-        place come first. They come first too, but `ambiguous`, where that place is only likelier than everything else
-        and the image by itself is not `matched`. Otherwise the image's own decision stands. With `consistent` the
-        decision is always the image's own, and `matched` only where enough images in a row agree.
+        place come first. They come first too where the image by itself is not `matched` and that place has a
+        probability of at least `LEADS`: as `ambiguous` where it is likelier than everything else, else with the image's
+        own verdict. Otherwise the image's own decision stands. With `consistent` the decision is always the image's
+        own, and `matched` only where enough images in a row agree.
 
         Parameters
         ----------
@@ -156,12 +161,17 @@ class Drives:
         driven = Driven(drive.images, posterior, decision.status, row.images)
         if consistent is not None:
             return results, _consistent(decision, row.images, consistent), driven
-        together_sure = posterior[0].probability >= decision.threshold
-        leaning = decision.status != "matched" and posterior[0].probability >= LIKELIER
-        if drive.images == 1 or not (together_sure or leaning):
+        likeliest = posterior[0].probability
+        if drive.images == 1:
             return results, decision, driven
+        if likeliest >= decision.threshold:
+            decision = replace(decision, status="matched", reason=TOGETHER)
+        elif decision.status == "matched" or likeliest < LEADS:
+            return results, decision, driven
+        elif likeliest >= LIKELIER:
+            decision = replace(decision, status="ambiguous", reason=LEANING)
         places = _by_place(results.ranking, count, len(results.views), probability, 0.0)
-        return _led(results, decision, driven, _shown(places, len(results.views)), probability, together_sure)
+        return _led(results, decision, driven, _shown(places, len(results.views)), probability)
 
     def _together(
         self, results: RankedResults, probability: Mapping[int, float]
@@ -211,7 +221,6 @@ def _led(
     driven: Driven,
     places: tuple[PlaceProbability, ...],
     probability: Mapping[int, float],
-    sure: bool,
 ) -> tuple[RankedResults, Decision, Driven]:
     """The answer with its places in the order of their probability by the drive.
 
@@ -223,9 +232,7 @@ def _led(
     views = tuple(results.views[i] for i in order)
     decided = replace(
         decision,
-        status="matched" if sure else "ambiguous",
         confidence=places[0].probability,
-        reason=TOGETHER if sure else LEANING,
         places=places,
         confidences=confidences(places),
         weights=tuple(probability.get(int(results.ranking.seqs[i]), 0.0) for i in order),
