@@ -12,8 +12,8 @@ from schemas.comparisons import KnownView, MapLevels
 from schemas.records import Position
 from worker.method.decision import GROUPED, Decision, PlaceProbability, confidences
 from worker.method.places import Places
-from worker.method.reasons import SURE
-from worker.service.drives import DRIVEN, LEADS, LIKELIER, Driven, Drives
+from worker.method.reasons import SURE, Reason
+from worker.service.drives import DRIVEN, LEADS, LEANING, LIKELIER, Driven, Drives
 
 VIEWS, CANDIDATES, THRESHOLD = 200, 45, 0.9
 ALONG_A_PATH = {seq: KnownView(None, Position(x=2.0 * seq, y=0.0)) for seq in range(VIEWS)}
@@ -64,6 +64,10 @@ def alone(ranking: Any, sure: float, shown: int, threshold: float) -> Decision:
     return Decision(status, sure, SURE, 0.97, threshold, levels, tuple(places), confidences(places))
 
 
+def found(ranking: Any, shown: int) -> Any:
+    return Results(ranking, tuple(range(shown)), SimpleNamespace(description=SimpleNamespace(id="r")))
+
+
 def driven(
     known: dict[int, KnownView], seed: int, top: int = 1, threshold: float = THRESHOLD
 ) -> list[tuple[Decision, Driven, Sequence[int]]]:
@@ -72,7 +76,7 @@ def driven(
     answers: list[tuple[Decision, Driven, Sequence[int]]] = []
     for ranking, sure in walk(known, seed):
         shown = max(top, GROUPED)
-        results = cast(Any, Results(ranking, tuple(range(shown)), SimpleNamespace(description=SimpleNamespace(id="r"))))
+        results = found(ranking, shown)
         led, decision, said = drives.follow(("map", "robot"), 60, results, alone(ranking, sure, shown, threshold))
         answers.append((decision, said, [int(ranking.seqs[cast(Any, view)]) for view in led.views[:3]]))
     return answers
@@ -116,3 +120,24 @@ def test_the_place_of_the_drive_comes_first_where_the_image_hardly_tells_one_fro
                 assert said.posterior[0].views[0] == 0
                 led += 1
     assert led > 5
+
+
+def test_a_look_alike_is_that_of_the_first_place() -> None:
+    """Where the place of the drive takes the lead, what the image says of another place is no reason; nor is any place
+    that comes second a rival."""
+    own = Reason("look-alike", "another place is nearly as good", "look at the rival")
+    rival: Any = SimpleNamespace()
+    counted = {own: 0, LEANING: 0}
+    for seed in range(40):
+        drives = Drives(further, now=lambda: 0.0)
+        for ranking, sure in walk(NAMED, seed):
+            results = replace(found(ranking, GROUPED), rival=rival)
+            by_itself = replace(alone(ranking, sure, GROUPED, THRESHOLD), reason=own)
+            led, decision, said = drives.follow(("map", "robot"), 60, results, by_itself)
+            likeliest = said.posterior[0].probability
+            if said.images > 1 and said.single_status != "matched" and LEADS <= likeliest < LIKELIER:
+                first, alike = (NAMED[int(ranking.seqs[view])] for view in (cast(int, led.views[0]), 0))
+                assert decision.reason == (own if first == alike else LEANING)
+                assert decision.reason != own or led.rival is rival
+                counted[decision.reason] += 1
+    assert min(counted.values()) > 1, counted

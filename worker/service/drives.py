@@ -122,8 +122,9 @@ class Drives:
         Where the images together are as sure as the precision asks for, the decision is theirs and the views of their
         place come first. They come first too where the image by itself is not `matched` and that place has a
         probability of at least `LEADS`: as `ambiguous` where it is likelier than everything else, else with the image's
-        own verdict. Otherwise the image's own decision stands. With `consistent` the decision is always the image's
-        own, and `matched` only where enough images in a row agree.
+        own verdict, and with its own reason where its own first place is that one. Otherwise the image's own decision
+        stands. With `consistent` the decision is always the image's own, and `matched` only where enough images in a
+        row agree.
 
         Parameters
         ----------
@@ -170,6 +171,8 @@ class Drives:
             return results, decision, driven
         elif likeliest >= LIKELIER:
             decision = replace(decision, status="ambiguous", reason=LEANING)
+        elif decision.places[0].views[0] not in posterior[0].views:
+            decision = replace(decision, reason=LEANING)  # the image's own is of the place that comes first by itself
         places = _by_place(results.ranking, count, len(results.views), probability, 0.0)
         return _led(results, decision, driven, _shown(places, len(results.views)), probability)
 
@@ -237,7 +240,9 @@ def _led(
         confidences=confidences(places),
         weights=tuple(probability.get(int(results.ranking.seqs[i]), 0.0) for i in order),
     )
-    rival = views[places[1].views[0]] if len(places) > 1 else None
+    rival = results.rival
+    if decision.reason.code != "look-alike":  # that of the image itself has a rival of its own
+        rival = views[places[1].views[0]] if len(places) > 1 else None
     driven = replace(driven, posterior=places[: len(driven.posterior)])
     return replace(results, views=views, rival=rival), decided, driven
 
