@@ -1,5 +1,6 @@
 """A bounded memory of what was used last."""
 
+import threading
 from collections import OrderedDict
 from typing import TypeVar
 
@@ -8,7 +9,7 @@ V = TypeVar("V")
 
 
 class Latest(OrderedDict[K, V]):
-    """The values that were set last; of more than `most` the first goes.
+    """The values that were set last; of more than `most` the first goes. Threads may set values at once.
 
     Parameters
     ----------
@@ -17,10 +18,11 @@ class Latest(OrderedDict[K, V]):
 
     def __init__(self, most: int) -> None:
         super().__init__()
-        self._most = most
+        self._most, self._setting = most, threading.Lock()
 
     def __setitem__(self, key: K, value: V) -> None:
-        super().__setitem__(key, value)
-        self.move_to_end(key)
-        while len(self) > self._most:
-            self.popitem(last=False)
+        with self._setting:
+            super().__setitem__(key, value)
+            self.move_to_end(key)
+            while len(self) > self._most:
+                self.popitem(last=False)

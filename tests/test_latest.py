@@ -1,0 +1,40 @@
+"""What is remembered is bounded."""
+
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from schemas.latest import Latest
+
+
+@pytest.fixture
+def in_turns() -> Iterator[None]:
+    """Threads that take turns all the time."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_what_was_set_longest_ago_goes_first() -> None:
+    kept = Latest[str, int](2)
+    kept["gate"], kept["pond"], kept["gate"] = 1, 2, 3
+    kept["hall"] = 4
+    assert list(kept.items()) == [("gate", 3), ("hall", 4)]
+
+
+@pytest.mark.usefixtures("in_turns")
+@pytest.mark.parametrize("most", [0, 1, 2])
+def test_threads_set_values_at_once(most: int) -> None:
+    """As queries do that are explained: of few that are kept, one may go before its thread has placed it."""
+    kept = Latest[tuple[int, int], None](most)
+
+    def set_many(thread: int) -> None:
+        for number in range(20_000):
+            kept[thread, number] = None
+
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(set_many, range(4)))
+    assert len(kept) == most
