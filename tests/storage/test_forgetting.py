@@ -6,12 +6,13 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import BadSnapshot, Conflict, Damaged, ImageNotKept, NotFound
+from schemas.log_context import bound, fields
 from schemas.map_changes import MapChanges
 from schemas.records import ViewRecord
 from tests.storage.carried import JOB, made, views
 from tests.storage.conftest import Open
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, finish, image, recipe
-from worker.storage import snapshot_portions
+from worker.storage import damage, snapshot_portions
 from worker.storage.examining import examine
 from worker.storage.jobs import ATTEMPTS
 from worker.storage.snapshot_portions import Portion, Portions
@@ -192,13 +193,16 @@ def test_a_snapshot_carries_the_map_without_its_images(forgetful: SqlStore, else
 
 
 def test_a_damaged_description_makes_no_snapshot_until_the_image_is_enrolled_again(
-    forgetful: SqlStore, elsewhere: SqlStore, data: Path
+    forgetful: SqlStore, elsewhere: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, view = views(forgetful)
     with forgetful._database.writing() as connection:
         connection.execute(sa.update(CELLS).where(CELLS.c.seq == view.seq).values(body=b"damaged"))
-    with pytest.raises(Damaged, match=f"the description of the view {view.id} is damaged"):
+    told_by: list[object] = []
+    monkeypatch.setattr(damage.log, "error", lambda *_: told_by.append(fields().get("job_id")))
+    with bound(job_id=JOB), pytest.raises(Damaged, match=f"the description of the view {view.id} is damaged"):
         made(forgetful)
+    assert told_by == [JOB]
     assert not list((data / "snapshots").iterdir())
     assert forgetful.views.get(view.id).state == "failed"
     assert enroll(forgetful, "yard").view.id == view.id

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -84,7 +85,7 @@ class Portions:
             for seqs in portions(views):
                 without = without_image(self._connection, self._map_id, seqs)
                 rows = written_views(self._connection, seqs, self._recipe, self._since_us)
-                before, last = last, thread.submit(self._portion, seqs, rows, without)
+                before, last = last, thread.submit(copy_context().run, self._portion, seqs, rows, without)
                 if before is not None:
                     yield before.result()
             if last is not None:
