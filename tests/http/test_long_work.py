@@ -50,6 +50,7 @@ def test_an_image_is_shown_while_many_wait_for_what_takes_long(
             await asyncio.gather(*waiting, return_exceptions=True)
 
     assert asyncio.run(meanwhile()) == (b"image", "image/png")
+    assert getattr(getattr(parts, part), method).call_count == MANY
 
 
 @pytest.mark.parametrize(
