@@ -243,7 +243,7 @@ def snapshot(bench: Bench) -> list[Row]:
     return [
         Row("a plain file, written and synced", f"{median(plain):.0f} MB/s", f"{size / 1e6:.0f} MB"),
         Row("snapshot", f"{median(made):.0f} MB/s", f"{size / 1e6 / median(made):.0f} s"),
-        Row("snapshot, of CPU time", f"{median(cpu):.0f} MB/s", "all that is computed, in two threads"),
+        Row("snapshot, of CPU time", f"{median(cpu):.0f} MB/s", "all that is computed, in three threads"),
         Row("snapshot", f"{ratio:.2f}", "of the disk's speed, at least 0.5"),
     ]
 
