@@ -15,6 +15,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -33,6 +34,12 @@ DELAYS_S = (5.0, 30.0, 120.0, 600.0, 1800.0)
 
 TIMEOUT_S = 10.0
 """Of an attempt, from the first byte of the connection to the end of the answer's headers."""
+
+SHORT_BYTES, BODY_S = 65536, 1.0
+"""Bytes of an answer that is read, and seconds for that, so that the next event goes by the same connection."""
+
+IDLE_S = 2.0
+"""Seconds for which a connection is kept without events; receivers close theirs after five or more."""
 
 PREFIX = "whsec_"
 """Of a secret that is base64."""
@@ -83,7 +90,8 @@ class Webhooks:
         self._deadline = Deadline()
         self._count: Callable[[Outcome], None] = lambda outcome: None
         try:
-            self._client = httpx.Client(timeout=TIMEOUT_S, headers={"user-agent": "revisit"})
+            kept = httpx.Limits(keepalive_expiry=IDLE_S)
+            self._client = httpx.Client(timeout=TIMEOUT_S, headers={"user-agent": "revisit"}, limits=kept)
         except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
             raise SetupError(NOT_CALLED.format("REVISIT_WEBHOOK", error)) from error
 
@@ -185,7 +193,7 @@ class Webhooks:
                     "POST", self._url, content=one.body, headers=headers, timeout=timeout, extensions=traced
                 ) as answer,
             ):
-                pass  # what follows the status is not read: it may never end
+                self._read_short(answer)
         except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:  # UnicodeError: a host that cannot be named
             why = "no whole answer in time" if self._deadline.is_over else type(error).__name__
             return _Failure(f"{why} after attempt {one.attempts}")
@@ -194,6 +202,14 @@ class Webhooks:
         final = answer.status_code < 500 and answer.status_code not in AGAIN
         elsewhere = ", a redirect, which is not followed" if answer.is_redirect else ""
         return _Failure(f"answered {answer.status_code} to attempt {one.attempts}{elsewhere}", final)
+
+    def _read_short(self, answer: httpx.Response) -> None:
+        """Read what follows the headers where it is short; all else ends the connection, since it may never end."""
+        length = answer.headers.get("content-length", "0" if answer.status_code == 204 else "")
+        if length.isdecimal() and len(length) < 10 and int(length) <= SHORT_BYTES:
+            self._deadline.hurry(BODY_S)
+            with suppress(httpx.HTTPError):
+                answer.read()
 
     def _settle(self, one: _Event, outcome: Outcome, why: str) -> None:
         if outcome != "delivered":

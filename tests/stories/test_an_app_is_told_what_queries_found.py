@@ -45,6 +45,8 @@ class Receiver:
     url: str
     statuses: list[int] = field(default_factory=list)
     messages: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
+    callers: set[int] = field(default_factory=set)
+    """Ports that connections came from."""
 
     def bodies(self, count: int) -> list[dict[str, Any]]:
         """The first messages, once so many have come."""
@@ -55,7 +57,10 @@ class Receiver:
 @contextmanager
 def receiving(*statuses: int) -> Iterator[Receiver]:
     class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
         def do_POST(self) -> None:
+            got.callers.add(self.client_address[1])
             body = self.rfile.read(int(self.headers["content-length"]))
             got.messages.append(({name.lower(): value for name, value in self.headers.items()}, body))
             self.send_response(got.statuses.pop(0) if got.statuses else 204)
@@ -162,6 +167,49 @@ def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
     for headers, body in app.messages:
         bodies[headers["webhook-id"]].add(body)
     assert [len(of) for of in bodies.values()] == [1, 1]  # the same message each time
+
+
+@apart
+def test_events_that_follow_each_other_go_by_one_connection() -> None:
+    """Over TLS to another continent a new one for each takes three times as long."""
+    with receiving() as app, telling(app.url) as (hooks, outcomes):
+        for number in range(20):
+            hooks.tell(answer(f"q{number}"))
+        assert settled(outcomes, 20) == ["delivered"] * 20
+        assert len(app.callers) == 1
+
+
+@apart
+def test_an_answer_whose_body_is_late_is_taken_and_the_next_event_goes_by_another_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(webhooks, "BODY_S", 0.1)
+    callers: set[int] = set()
+
+    class Late(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            callers.add(self.client_address[1])
+            self.rfile.read(int(self.headers["content-length"]))
+            self.send_response(200)
+            self.send_header("content-length", "2")
+            self.end_headers()
+            self.connection.recv(1)  # until the other side gives up
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Late) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            with telling(f"http://127.0.0.1:{server.server_port}/") as (hooks, outcomes):
+                hooks.tell(answer("q1"))
+                hooks.tell(answer("q2"))
+                assert settled(outcomes, 2) == ["delivered"] * 2
+        finally:
+            server.shutdown()
+            thread.join()
+    assert len(callers) == 2
 
 
 @apart
