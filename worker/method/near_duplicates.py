@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats, Int8s
+from worker.method.camera_fixed import CameraFixed
 
 NEAR, SAME = 0.65, 0.94
 """Histogram distance up to which views may be duplicates, and mean cosine of their cells from which they are. The same
@@ -42,13 +43,16 @@ def alike(vectors: Floats, within: float, most: int) -> list[list[int]]:
     return found
 
 
-def similarity(one: Int8s, other: Int8s) -> float:
+def similarity(one: Int8s, other: Int8s, fixed: CameraFixed | None = None) -> float:
     """Mean cosine of the dense cells of two views at the same places, -1..1; 0 when their grids differ.
 
-    Cells are int8 of shape (rows, columns, dimensions); those of zeros, which are dynamic in either, do not count.
+    Cells are int8 of shape (rows, columns, dimensions); those of zeros, which are dynamic in either, do not count, nor
+    do those that show what is fixed to the map's camera: they are the same wherever it is.
     """
     if one.shape != other.shape or one.size == 0:
         return 0.0
+    if fixed is not None:
+        one = fixed.cleared(one)
     a, b = (cells.reshape(-1, cells.shape[-1]).astype(np.float32) for cells in (one, other))
     lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     static = lengths > 0

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from schemas.recipe import MapRecipe
 from worker.images import codec, quality
 from worker.runtime.parts import Parts
+from worker.search.fixed_cells import FixedCells
 from worker.service.ageing import AgeingPlaces
 from worker.service.attendance import Attendance
 from worker.service.calibrating import CalibrationService
@@ -101,6 +102,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     proposals = ProposalService(maps=store.maps, views=store.views, kept=store.kept_queries, enroll=enroll)
     health = HealthService(
         maps=store.maps, comparisons=store.comparisons, descriptions=store.descriptions, calibration=calibration_of,
+        camera_fixed=FixedCells(store.descriptions).among,
         ageing=AgeingPlaces(store.day_scores, store.views, proposals.of, scores.write),
     )  # fmt: skip
     calibration = CalibrationService(

@@ -1,14 +1,16 @@
 """What is fixed to the cameras of maps, read from some of their views and kept while these stay the same."""
 
 import threading
+from collections.abc import Iterable
 
 import numpy as np
 
 from schemas.description import LocalFeatures
+from schemas.draw import draw_order
 from schemas.latest import Latest
 from schemas.recipe import DescriptionRecipe
 from worker.method.camera_fixed import LEAST_VIEWS, CameraFixed, camera_fixed
-from worker.search.ports import DescriptionReader
+from worker.search.ports import SAMPLE, DescriptionReader
 
 MOST_KEPT = 256
 """Samples whose outcome is kept in memory, some 100 kB each where something is fixed."""
@@ -26,6 +28,11 @@ class FixedCells:
         self._descriptions = descriptions
         self._lock = threading.Lock()
         self._kept: Latest[tuple[str, tuple[int, ...]], CameraFixed | None] = Latest(MOST_KEPT)
+
+    def among(self, seqs: Iterable[int], recipe: DescriptionRecipe) -> CameraFixed | None:
+        """As `of`, by the views that an index of these would draw."""
+        drawn = sorted(seqs, key=draw_order)[:SAMPLE]
+        return self.of(tuple(sorted(drawn)), recipe)
 
     def of(self, sample: tuple[int, ...], recipe: DescriptionRecipe) -> CameraFixed | None:
         """What is fixed to the camera, by views described by a recipe; those that were deleted are left out."""

@@ -6,6 +6,7 @@ from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.records import Selection, Sequence64, ViewRecord
 from worker.method import near_duplicates
+from worker.method.camera_fixed import CameraFixed
 from worker.method.cascade import ViewGone
 from worker.search.ports import Catalogue, DescriptionReader
 from worker.service.ports import Views
@@ -62,15 +63,18 @@ class NearDuplicates:
                 return None
             squares = np.sum([found.distances[channel].astype(np.float64) ** 2 for channel in found.distances], axis=0)
             near = np.flatnonzero(squares <= near_duplicates.NEAR**2)
-            return self._same(found.seqs[near[np.argsort(squares[near], kind="stable")]], recipe, description)
+            fixed = self._catalogue.camera_fixed(index, record.description)
+            return self._same(found.seqs[near[np.argsort(squares[near], kind="stable")]], recipe, description, fixed)
         return None
 
-    def _same(self, seqs: Sequence64, recipe: str, description: Description) -> ViewRecord | None:
+    def _same(
+        self, seqs: Sequence64, recipe: str, description: Description, fixed: CameraFixed | None
+    ) -> ViewRecord | None:
         """The first of some views whose cells are nearly those of a description."""
         cells = self._descriptions.appearances(seqs.tolist(), recipe)
         for seq in seqs.tolist():
             mine = description.appearance.coarse
-            if seq in cells and near_duplicates.similarity(mine, cells[seq].coarse) >= near_duplicates.SAME:
+            if seq in cells and near_duplicates.similarity(mine, cells[seq].coarse, fixed) >= near_duplicates.SAME:
                 view = self._views.at([seq]).get(seq)
                 if view is not None:
                     return view

@@ -15,9 +15,11 @@ from schemas.comparisons import MapLevels
 from schemas.description import Appearance, Floats
 from schemas.health import CODES, HealthFinding, HealthReport, SurveyedView
 from schemas.latest import Latest
+from schemas.recipe import DescriptionRecipe
 from schemas.records import MapRecord
 from worker.method import coverage
 from worker.method.calibration import Calibration
+from worker.method.camera_fixed import CameraFixed
 from worker.method.near_duplicates import NEAR, SAME, alike, similarity
 from worker.method.places import NEIGHBOURHOOD
 from worker.service.match_standard import MatchStandard
@@ -90,6 +92,8 @@ class HealthService:
         Parts of the store.
     calibration : function
         Map to the calibration of its confidences.
+    camera_fixed : function
+        Views and recipe to what is fixed to the camera that took them.
     ageing : Ageing
         Examined with each call: queries change it, and the map stays as it is.
     """
@@ -101,10 +105,11 @@ class HealthService:
         comparisons: Surveys,
         descriptions: Descriptions,
         calibration: Callable[[MapRecord], Calibration],
+        camera_fixed: Callable[[Sequence[int], DescriptionRecipe], CameraFixed | None],
         ageing: Ageing,
     ) -> None:
         self._maps, self._comparisons, self._descriptions = maps, comparisons, descriptions
-        self._calibration, self._ageing = calibration, ageing
+        self._calibration, self._camera_fixed, self._ageing = calibration, camera_fixed, ageing
         self._kept: Latest[str, tuple[tuple[datetime, int], HealthReport, list[list[SurveyedView]]]] = Latest(KEPT)
         self._lock = threading.Lock()
 
@@ -127,30 +132,31 @@ class HealthService:
         groups = by_place(views, within)
         found = [
             *find_twins(views, within, standard),
-            *self._duplicates(views, record.description.id),
+            *self._duplicates(views, record.description),
             *_narrow(views, groups, within),
         ]
         compared = sum(view.comparison is not None for view in views)
         return HealthReport(record.name, record.revision, described, len(views), compared, tuple(found)), groups
 
-    def _duplicates(self, views: Sequence[SurveyedView], recipe: str) -> Iterator[HealthFinding]:
-        vectors = self._descriptions.vectors([view.seq for view in views], recipe)
+    def _duplicates(self, views: Sequence[SurveyedView], recipe: DescriptionRecipe) -> Iterator[HealthFinding]:
+        vectors = self._descriptions.vectors([view.seq for view in views], recipe.id)
         rows = [view for view in views if view.seq in vectors]
         if len(rows) < 2:
             return
         near = alike(np.stack([vectors[view.seq] for view in rows]), NEAR, NEAREST)
         del vectors
+        fixed = self._camera_fixed([view.seq for view in rows], recipe) if any(near) else None
         taken: set[int] = set()
         for start in range(0, len(rows), PORTION):
             portion = {i: near[i] for i in range(start, min(start + PORTION, len(rows))) if near[i] and i not in taken}
             wanted = sorted({rows[j].seq for i, later in portion.items() for j in (i, *later)})
-            cells = self._descriptions.appearances(wanted, recipe)
+            cells = self._descriptions.appearances(wanted, recipe.id)
             for i, later in portion.items():
                 own = cells.get(rows[i].seq)
                 if i in taken or own is None:
                     continue
                 others = [(j, cells.get(rows[j].seq)) for j in sorted(later) if j not in taken]
-                same = [j for j, of in others if of is not None and similarity(own.coarse, of.coarse) >= SAME]
+                same = [j for j, of in others if of is not None and similarity(own.coarse, of.coarse, fixed) >= SAME]
                 if same:
                     taken.update(same)
                     yield _duplicate([rows[i], *(rows[j] for j in same)])
