@@ -106,10 +106,11 @@ class Mqtt:
         body = json.dumps(event(kind, answer, datetime.now(UTC)), separators=(",", ":"))
         with self._lock:
             full = len(self._waiting) >= WAITING
-        if full or self._closing:
-            self._lose("the service stopped" if self._closing else f"more than {WAITING} wait")
+            client = None if self._closing else self._client
+        if full or client is None:
+            self._lose("the service stopped" if client is None else f"more than {WAITING} wait")
             return
-        sent = self._client.publish(f"{self._topic}/{answer.map}/{kind}", body, qos=1).mid
+        sent = client.publish(f"{self._topic}/{answer.map}/{kind}", body, qos=1).mid
         with self._lock:
             if sent in self._taken_early:
                 self._taken_early.remove(sent)
@@ -120,7 +121,10 @@ class Mqtt:
     def close(self, patience_s: float = PATIENCE_S) -> None:
         """Wait for the broker to take what waits, for at most some seconds, and end."""
         until = time.monotonic() + patience_s
-        self._closing = True
+        with self._lock:
+            if self._closing:
+                return
+            self._closing = True
         self._all_taken.wait(patience_s)
         with self._lock:
             left = len(self._waiting)
@@ -133,6 +137,7 @@ class Mqtt:
         ending = threading.Thread(target=self._client.loop_stop, name="revisit-mqtt-end", daemon=True)
         ending.start()
         ending.join(max(0.1, until - time.monotonic()))
+        del self._client  # it closes its sockets once nothing refers to it
         for _ in range(left):
             self._lose("the service stopped")
 
