@@ -55,6 +55,19 @@ class Receiver:
 
 
 @contextmanager
+def answering(handler: type[BaseHTTPRequestHandler]) -> Iterator[str]:
+    """The address of a receiver."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/hook"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@contextmanager
 def receiving(*statuses: int) -> Iterator[Receiver]:
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -70,15 +83,9 @@ def receiving(*statuses: int) -> Iterator[Receiver]:
         def log_message(self, format: str, *arguments: Any) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        got = Receiver(f"http://127.0.0.1:{server.server_port}/hook", list(statuses))
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        try:
-            yield got
-        finally:
-            server.shutdown()
-            thread.join()
+    with answering(Handler) as url:
+        got = Receiver(url, list(statuses))
+        yield got
 
 
 def answer(query: str = "q1", **changes: Any) -> QueryAnswer:
@@ -198,17 +205,10 @@ def test_an_answer_whose_body_is_late_is_taken_and_the_next_event_goes_by_anothe
         def log_message(self, format: str, *arguments: Any) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Late) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        try:
-            with telling(f"http://127.0.0.1:{server.server_port}/") as (hooks, outcomes):
-                hooks.tell(answer("q1"))
-                hooks.tell(answer("q2"))
-                assert settled(outcomes, 2) == ["delivered"] * 2
-        finally:
-            server.shutdown()
-            thread.join()
+    with answering(Late) as url, telling(url) as (hooks, outcomes):
+        hooks.tell(answer("q1"))
+        hooks.tell(answer("q2"))
+        assert settled(outcomes, 2) == ["delivered"] * 2
     assert len(callers) == 2
 
 
@@ -228,18 +228,14 @@ def test_an_answer_that_never_ends_holds_nothing_up() -> None:
         def log_message(self, format: str, *arguments: Any) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Endless) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
+    with answering(Endless) as url:
         try:
-            with telling(f"http://127.0.0.1:{server.server_port}/") as (webhooks, outcomes):
+            with telling(url) as (webhooks, outcomes):
                 for number in range(3):
                     webhooks.tell(answer(f"q{number}"))
                 assert settled(outcomes, 3) == ["delivered"] * 3
         finally:
             ended.set()
-            server.shutdown()
-            thread.join()
 
 
 @pytest.fixture(params=["http", "https"])
