@@ -14,7 +14,7 @@ from schemas.records import Filters, ViewAttributes
 from tests.storage.conftest import Place
 from tests.storage.databases import postgres_schema, put_tables, sqlite_url
 from tests.storage.material import NOW, describe_all, enroll, facts, image
-from tests.storage.object_store import ADDRESS, aws, refusing, server
+from tests.storage.object_store import ADDRESS, ObjectStore, aws, refusing, server
 from tests.waiting import until
 from worker.storage.examining import examine
 from worker.storage.repairing import repair
@@ -224,13 +224,19 @@ def test_what_the_store_refuses_is_said_in_words_and_stores_nothing(
         store.close()
 
 
-def test_a_deletion_goes_through_while_the_store_is_away_and_its_image_follows(
-    data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    objects = server()
-    objects.empty()
-    for name, value in aws(objects.url).items():
+@pytest.fixture
+def objects(monkeypatch: pytest.MonkeyPatch) -> ObjectStore:
+    """An empty store, which the environment names."""
+    store = server()
+    store.empty()
+    for name, value in aws(store.url).items():
         monkeypatch.setenv(name, value)
+    return store
+
+
+def test_a_deletion_goes_through_while_the_store_is_away_and_its_image_follows(
+    data: Path, objects: ObjectStore
+) -> None:
     store = open_store(sqlite_url(data), data, 0, ADDRESS)
     view = enroll(store, "gate").view
     objects.stop()
@@ -274,14 +280,8 @@ def test_a_database_that_is_new_removes_no_images(place: Place, caplog: pytest.L
     assert place.digests() == [digest]
 
 
-def test_doctor_finds_nothing_where_images_were_moved_to_the_other_place(
-    data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_doctor_finds_nothing_where_images_were_moved_to_the_other_place(data: Path, objects: ObjectStore) -> None:
     """By `aws s3 sync`, which takes all that lies there: locks of the folder, and signs of life of the object store."""
-    objects = server()
-    objects.empty()
-    for name, value in aws(objects.url).items():
-        monkeypatch.setenv(name, value)
     put_tables(data)
     url = sqlite_url(data)
     with closing(open_store(url, data)) as store:
