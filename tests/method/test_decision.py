@@ -121,10 +121,19 @@ def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_sh
 
 
 def test_what_views_of_one_place_get_is_taken_from_other_maps_while_few_are_known() -> None:
-    few, many = (expected_levels(MapLevels(100, 0.3, 0.02, 99, own=0.5, paired=n)).own for n in (4, 4000))
+    few, many = (expected_levels(MapLevels(100, 0.3, 0.02, 99, own=0.9, paired=n)).own for n in (4, 4000))
     assert expected_levels(MapLevels(100, 0.3, 0.02, 99)).own == USUAL_OWN
-    assert few == pytest.approx((0.5 + USUAL_OWN) / 2)
-    assert many == pytest.approx(0.5, abs=0.001)
+    assert few == pytest.approx((0.9 + USUAL_OWN) / 2)
+    assert many == pytest.approx(0.9, abs=0.001)
+
+
+def test_rooms_enrolled_with_a_view_of_each_wall_tell_nothing_of_what_views_of_one_place_get() -> None:
+    walls, one_view_each = replace(LEVELS, own=0.25, paired=1000), LEVELS
+    unknown_room, known_room = [0.25, 0.19], [0.5, 0.19]
+    assert decided(unknown_room, levels=walls, inliers=0).status != "matched"
+    for seen in (unknown_room, known_room):
+        first, second = (decided(seen, levels=levels, inliers=0) for levels in (walls, one_view_each))
+        assert first.features == second.features
 
 
 def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:

@@ -33,7 +33,7 @@ from worker.method.reasons import BETTER_PHOTO, EMPTY, HISTOGRAMS_ALONE, NOTHING
 
 USUAL_BREADTH = 2.0
 USUAL_OWN = 0.7
-"""What sure views of one place get of each other over other maps."""
+"""What sure views of one place get of each other over other maps, and at least in this one."""
 
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03, breadth=USUAL_BREADTH)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
@@ -128,7 +128,7 @@ class Decision:
 
 def expected_levels(levels: MapLevels) -> MapLevels:
     """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared, or are
-    compared with few views of other places."""
+    compared with few views of other places; and what sure views of one place get, at least `USUAL_OWN`."""
     own = own_share(levels)
     broad = USUAL_BREADTH if levels.breadth is None else levels.breadth
     lead = levels.gap or PRIOR.gap  # 0: no view was compared with two other places
@@ -137,7 +137,8 @@ def expected_levels(levels: MapLevels) -> MapLevels:
         for mine, usual in ((levels.level, PRIOR.level), (lead, PRIOR.gap), (broad, USUAL_BREADTH))
     )
     paired = levels.paired / (levels.paired + PRIOR.compared)
-    pair = USUAL_OWN if levels.own is None else paired * levels.own + (1 - paired) * USUAL_OWN
+    # Views of one place that face different ways get little of each other, and do not tell what a sure one gets.
+    pair = max(paired * (levels.own or 0.0) + (1 - paired) * USUAL_OWN, USUAL_OWN)
     return replace(levels, level=level, gap=gap, breadth=breadth, own=pair)
 
 
