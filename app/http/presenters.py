@@ -9,7 +9,7 @@ from schemas import wire
 from schemas.description import Floats
 from schemas.records import Failure, JobRecord, PlaceRecord, Position, ViewRecord
 from worker.images.palette import colour
-from worker.method.decision import own_share
+from worker.method.features import own_share
 from worker.service.maps import MapState
 from worker.service.views import DynamicPreview, LabelledView
 

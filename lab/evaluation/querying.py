@@ -53,7 +53,7 @@ class Answer:
         ``matched``, ``ambiguous`` or ``no_match``.
     timing_ms : mapping of stage to milliseconds
     features : mapping of str to float
-        What a calibration may read of the first answer (`worker.method.decision.features`); empty where not known.
+        What a calibration may read of the first answer (`worker.method.features.features`); empty where not known.
     """
 
     views: tuple[str, ...]

@@ -10,21 +10,9 @@ from hypothesis import example, given, strategies as st
 from schemas.comparisons import KnownView, MapLevels
 from schemas.records import Position
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import (
-    PRIOR,
-    USUAL_OWN,
-    Decision,
-    blame_image,
-    decide,
-    expected_levels,
-    features,
-    floor,
-    of_nothing,
-    own_share,
-    shared,
-    tells_apart,
-)
+from worker.method.decision import Decision, blame_image, decide, of_nothing, shared
 from worker.method.evidence import Ranking
+from worker.method.features import PRIOR, USUAL_OWN, expected_levels, features, floor, own_share, tells_apart
 from worker.method.impostors import ImpostorEvidence
 from worker.method.places import Places
 
@@ -228,6 +216,16 @@ def test_what_images_of_no_place_get_is_no_evidence() -> None:
     assert "pictures that show no place" in like_a_wall.reason.detail
     assert look_alike.reason.code == "look-alike"
     assert "pictures that show no place" not in weak.reason.detail
+
+
+def test_a_place_that_looks_like_places_elsewhere_is_no_match_and_is_told_so() -> None:
+    apart = named("park", "mill")
+    like_other_parks = decided([0.6, 0.2], apart, impostors=ImpostorEvidence(0.58, (), elsewhere=True))
+    sure = decided([0.6, 0.2], apart, impostors=ImpostorEvidence(0.2, (), elsewhere=True))
+
+    assert sure == decided([0.6, 0.2], apart)
+    assert (like_other_parks.status, like_other_parks.reason.code) == ("no_match", "weak")
+    assert "hardly from places elsewhere" in like_other_parks.reason.detail
 
 
 def test_a_lead_that_is_narrow_over_a_image_of_no_place_is_narrow() -> None:

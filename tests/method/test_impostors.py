@@ -1,4 +1,4 @@
-"""Every query is compared with pictures that show no place; that changes what it is worth, and no order."""
+"""Every query is compared with pictures of no place of its map; that changes what it is worth, and no order."""
 
 from dataclasses import replace
 
@@ -17,11 +17,12 @@ from worker.method.impostors import COMPARED, LOOKED, Impostors
 QUERY = replace(described(), vectors=dict.fromkeys((SEMANTIC, DETAIL), np.eye(8, dtype=np.float32)[0]))
 
 
-def of(descriptions: list[Description]) -> Impostors:
+def of(descriptions: list[Description], placeless: int = 100) -> Impostors:
     return Impostors(
         {name: np.stack([vector] * len(descriptions)) for name, vector in QUERY.vectors.items()},
         np.stack([one.cells for one in descriptions]),
         QUERY.appearance.extent,
+        placeless,
     )
 
 
@@ -49,6 +50,18 @@ def test_the_most_alike_are_compared() -> None:
     assert near.seqs.tolist() == [1, 3, 4, 5]
     assert len(near.seqs) == LOOKED
     assert len(ranked(LIKE_IT).impostors.cells) == COMPARED  # type: ignore[union-attr]
+
+
+def test_the_best_of_them_says_whether_it_shows_a_place_elsewhere() -> None:
+    worse_and_best = [described(1, 3.0), described(6, 0.1)]
+    for placeless, elsewhere in ((2, False), (1, True), (0, True)):
+        found = ranked(of(worse_and_best, placeless)).impostors
+        assert found is not None
+        assert found.elsewhere is elsewhere
+    for first in (worse_and_best[::-1], worse_and_best):
+        found = ranked(of(first, placeless=1)).impostors
+        assert found is not None
+        assert found.elsewhere is (first[1] is worse_and_best[1])
 
 
 def test_they_get_what_views_get_but_for_graphs_and_keypoints() -> None:

@@ -7,7 +7,8 @@ from hypothesis import given, strategies as st
 
 from schemas.comparisons import MapLevels
 from worker.method.calibration import Verdict
-from worker.method.decision import PRIOR, Decision, PlaceProbability, expected_levels
+from worker.method.decision import Decision, PlaceProbability
+from worker.method.features import PRIOR, expected_levels
 from worker.method.joining import Joined, join, pooled
 from worker.method.reasons import EMPTY, SURE, Reason
 

@@ -97,9 +97,14 @@ def draw_aligned(folder: Path, count: int, after: int) -> Iterator[None]:
         yield
 
 
+def photographs(free: Path) -> list[Path]:
+    """Photographs below a folder that are not share-alike, in order."""
+    return [path for path in sorted(free.rglob("*.jpg")) if path.relative_to(free).parts[0] != SHARE_ALIKE]
+
+
 def copy_photos(free: Path, to: Path) -> int:
-    """Copy photographs that are not share-alike; returns how many there are."""
-    photos = [path for path in sorted(free.rglob("*.jpg")) if path.relative_to(free).parts[0] != SHARE_ALIKE]
+    """Copy the photographs; returns how many there are."""
+    photos = photographs(free)
     for path in photos:
         source, *rest = path.relative_to(free).parts
         folder = to / "unlabelled" / "free" / source if source in ROOMS else to / "segmentation" / "free" / "train"

@@ -1,7 +1,8 @@
-"""The impostors that ship: descriptions of pictures that show no place, one file for an encoder."""
+"""The impostors that ship: descriptions of pictures that show no place of any map, one file for an encoder."""
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -21,7 +22,7 @@ PRESET = "default"
 """The preset by whose vocabulary they are described."""
 
 EXTENT = (1.0, 0.75)
-"""Extent of the pictures that `training.commands.describe_impostors` draws."""
+"""Extent of the pictures that `training.commands.describe_impostors` draws, or cuts out of photographs."""
 
 
 def path_of(encoder: str) -> Path:
@@ -33,7 +34,8 @@ def write(path: Path, recipe: DescriptionRecipe, impostors: Impostors) -> None:
     """Write impostors, as described by a recipe, to a file."""
     tensors: dict[str, npt.NDArray[np.generic]] = {"cells": impostors.full}
     tensors |= {f"vectors.{name}": vectors for name, vectors in impostors.vectors.items()}
-    path.write_bytes(save(tensors, {"recipe": json.dumps(_described_by(recipe))}))
+    metadata = {"recipe": json.dumps(_described_by(recipe)), "placeless": str(impostors.placeless)}
+    path.write_bytes(save(tensors, metadata))
 
 
 def shipped_for(recipe: DescriptionRecipe, vocabulary_of: Callable[[str], Vocabulary]) -> Impostors | None:
@@ -67,10 +69,10 @@ def read(encoder: str) -> tuple[Mapping[str, object], Impostors] | None:
     if not path.exists():
         return None
     with safe_open(path, "numpy") as file:
-        described_by = json.loads(file.metadata()["recipe"])
+        metadata = file.metadata()
         named = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     vectors = {name.removeprefix("vectors."): values for name, values in named.items() if name.startswith("vectors.")}
-    return described_by, Impostors(vectors, named["cells"], EXTENT)
+    return json.loads(metadata["recipe"]), Impostors(vectors, named["cells"], EXTENT, int(metadata["placeless"]))
 
 
 def _described_by(recipe: DescriptionRecipe) -> dict[str, object]:
@@ -103,4 +105,4 @@ def _carried_over(
         begin, end = end, end + old.shape[1]
         whole = impostors.full[..., begin:end].astype(np.float32) @ old.T  # its columns are orthonormal
         reduced[name] = dense_cells.reduce(whole, new)
-    return Impostors({}, quantise(dense_cells.join(reduced, shares)), impostors.extent)
+    return replace(impostors, vectors={}, full=quantise(dense_cells.join(reduced, shares)))

@@ -102,7 +102,7 @@ class Calibration:
     Parameters
     ----------
     features : tuple of str
-        Names of the features that the curve reads, in order; see `worker.method.decision.features`.
+        Names of the features that the curve reads, in order; see `worker.method.features.features`.
     curve : Curve
     precisions, thresholds : float64 of shape (n,)
         Wanted share of right answers among the matched ones, 0..1, and the lowest probability at which queries that

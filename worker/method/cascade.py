@@ -108,7 +108,7 @@ def rank(
     product : Product
         Inner products of dense cells; every implementation gives the same result.
     impostors : Impostors, optional
-        Pictures of no place, by the same recipe: what the query gets of them changes no score and no order.
+        Pictures of no place of the map, by the same recipe: what the query gets of them changes no score and no order.
     observe : function
         Called after each of `STAGES`.
 
@@ -278,7 +278,7 @@ def compare_impostors(
     product: Product,
     rival: float = 0.0,
 ) -> ImpostorEvidence | None:
-    """Stages 1 to 3 for pictures of no place, by the scale, the weights and the channels that candidates got.
+    """Stages 1 to 3 for pictures of no place of the map, by the scale, weights and channels that candidates got.
 
     None where none is as much like the query at half size as the best view of another place, whose `dense` is `rival`:
     then they say no more than that view.
@@ -295,7 +295,10 @@ def compare_impostors(
         return None
     compare_full(query, recipe, theirs, impostors, product)
     score, _ = score_fusion.score(theirs.terms, config, theirs.rows)
-    return ImpostorEvidence(float(score.max()), tuple(theirs.cells.values()))
+    best = int(score.argmax())
+    return ImpostorEvidence(
+        float(score[best]), tuple(theirs.cells.values()), elsewhere=bool(near.seqs[best] >= impostors.placeless)
+    )
 
 
 def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:

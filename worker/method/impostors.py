@@ -1,8 +1,9 @@
-"""Impostors: descriptions of pictures that show no place, with which every query is compared.
+"""Impostors: descriptions of pictures that show no place of any map, with which every query is compared.
 
-A wall close by, the sky or a page of text is much like any other of its kind. Where a map has one view of such a kind,
-a query of the kind stands out from all of its other views. What the query gets of pictures that are certainly of no
-place says how little that means (cohort normalisation of speaker verification: Auckenthaler et al. 2000).
+A wall close by, the sky or a page of text is much like any other of its kind, and a park is like other parks. Where a
+map has one place of such a kind, a query of the kind stands out from all of its other views. What the query gets of
+pictures that are certainly of none of its places says how little that means (cohort normalisation of speaker
+verification: Auckenthaler et al. 2000).
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +28,7 @@ COMPARED = 2
 
 @dataclass(frozen=True, eq=False)
 class ImpostorEvidence:
-    """What a query gets of pictures that show no place.
+    """What a query gets of pictures that show no place of its map.
 
     Parameters
     ----------
@@ -35,10 +36,13 @@ class ImpostorEvidence:
         The largest, 0..1, as views are scored but for graphs and keypoints.
     cells : tuple of float32 of shape (rows * columns,)
         As `worker.method.evidence.Ranking.cells`, of those compared at full resolution.
+    elsewhere : bool
+        Whether the one with that score shows a place, though none of any map.
     """
 
     score: float
     cells: tuple[Floats, ...]
+    elsewhere: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +57,14 @@ class Impostors:
         Dense cells at full resolution.
     extent : (float, float)
         (width, height) of all of the pictures as fractions of the longer side.
+    placeless : int
+        Number of the first of them that show no place at all; the others show places that are in no map.
     """
 
     vectors: Mapping[str, Floats]
     full: Int8s
     extent: tuple[float, float]
+    placeless: int
 
     @cached_property
     def coarse(self) -> Int8s:

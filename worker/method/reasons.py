@@ -40,6 +40,11 @@ OF_NO_PLACE = Reason(
     "the sky, or a page of text",
     "take the photo so that more of the place shows",
 )
+LIKE_ELSEWHERE = Reason(
+    "weak",
+    "the first place stands out from the others of this map, but hardly from places elsewhere that look like it",
+    "if the place is enrolled, enrol it from here and in this light too",
+)
 NOT_SO_SURE = Reason(
     "weak",
     "the first place stands out from what wrong places get in this map, but is not as sure as the precision asks for",
@@ -48,7 +53,7 @@ NOT_SO_SURE = Reason(
 SURE = Reason("sure", "one place stands out from all others", "nothing")
 
 
-def reason_for(status: Verdict, *, outrivalled: bool, of_no_place: bool, searched: int) -> Reason:
+def reason_for(status: Verdict, *, outrivalled: bool, impostor: Reason | None, searched: int) -> Reason:
     """The reason for a verdict on an answer with at least one place.
 
     Parameters
@@ -57,8 +62,8 @@ def reason_for(status: Verdict, *, outrivalled: bool, of_no_place: bool, searche
     outrivalled : bool
         Whether the first place would be matched if there were no other place, and another one gets more than wrong
         places usually do or is taken for it.
-    of_no_place : bool
-        Whether it would be matched if the query were compared with no impostors.
+    impostor : Reason or None
+        `OF_NO_PLACE` or `LIKE_ELSEWHERE` where it would be matched if the query were compared with no impostors.
     searched : int
         Number of views searched.
     """
@@ -71,8 +76,8 @@ def reason_for(status: Verdict, *, outrivalled: bool, of_no_place: bool, searche
             "look at the rival: enrol more views of both places where they differ, take the photo so that this shows, "
             "or narrow the search with near or place",
         )
-    if of_no_place:
-        return OF_NO_PLACE
+    if impostor:
+        return impostor
     if searched < FEW_VIEWS:
         return Reason(
             "few-views",

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from schemas.latest import Latest
-from worker.method.decision import GROUPED, SOFTENING, Decision, PlaceProbability, confidences
+from worker.method.decision import GROUPED, Decision, PlaceProbability, confidences
 from worker.method.drive import Drive, Single, follow, spread
 from worker.method.evidence import Ranking
+from worker.method.features import SOFTENING
 from worker.method.reasons import Reason
 from worker.service.agreement import Row
 from worker.service.results import RankedResults

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from schemas.comparisons import MapLevels
 from worker.method.calibration import Calibration
-from worker.method.decision import expected_levels, features, floor
+from worker.method.features import expected_levels, features, floor
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""Pictures of no place are described once and ship with the encoder."""
+"""Pictures of no place of any map are described once and ship with the encoder."""
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,7 +11,7 @@ from scenes.placeless import KINDS
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.settings import Settings
-from training.commands.describe_impostors import OF_A_KIND, described, main
+from training.commands.describe_impostors import EVERY, OF_A_KIND, described, main, mirrored
 from worker.description import impostors
 from worker.description.describer import Describer
 from worker.description.presets import Wanted, general_vocabulary, make_recipe
@@ -33,6 +34,17 @@ def shipped_for(recipe: DescriptionRecipe) -> Impostors | None:
     return impostors.shipped_for(recipe, none_needed)
 
 
+def read_from(path: Path) -> Impostors | None:
+    """What the service would read if the impostors of `compact` were there."""
+    impostors.read.cache_clear()
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(impostors, "path_of", lambda encoder: path)
+            return shipped_for(recipe_of("compact"))
+    finally:
+        impostors.read.cache_clear()
+
+
 @pytest.mark.parametrize("encoder", SHAREABLE)
 def test_those_that_ship_are_of_the_recipe_that_maps_get(encoder: str) -> None:
     recipe = recipe_of(encoder)
@@ -41,7 +53,9 @@ def test_those_that_ship_are_of_the_recipe_that_maps_get(encoder: str) -> None:
 
     assert shipped is not None
     assert grid is not None
-    assert shipped.full.shape[:3] == (OF_A_KIND * len(KINDS), grid.rows, grid.columns)
+    assert shipped.full.shape[1:3] == (grid.rows, grid.columns)
+    assert OF_A_KIND * len(KINDS) == shipped.placeless < len(shipped.full)
+    assert {len(of) for of in shipped.vectors.values()} == {len(shipped.full)}
     assert {name: of.shape[1] for name, of in shipped.vectors.items()} == {
         name: channel.length for name, channel in recipe.parameters.channels.items()
     }
@@ -78,7 +92,7 @@ def test_for_a_vocabulary_of_ones_own_their_cells_are_carried_over() -> None:
     assert carried is not None
     assert carried.vectors == {}
     drawn = described(encoder, Describer(encoder, own, learned), 1).full.astype(np.float32)
-    ours = carried.full[::OF_A_KIND].astype(np.float32)
+    ours = carried.full[: carried.placeless : OF_A_KIND].astype(np.float32)
     cosines = (ours * drawn).sum(-1) / np.maximum(np.linalg.norm(ours, axis=-1) * np.linalg.norm(drawn, axis=-1), 1)
     assert np.median(cosines) > 0.9
 
@@ -86,18 +100,34 @@ def test_for_a_vocabulary_of_ones_own_their_cells_are_carried_over() -> None:
     assert impostors.shipped_for(own, lambda digest: Vocabulary(words_alone)) is None
 
 
-def test_the_command_writes_what_the_service_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_what_the_service_reads(tmp_path: Path) -> None:
     to = tmp_path / "some.safetensors"
     main(["--encoder", "compact", "--of-a-kind", "1", "--to", str(to)])
     shipped = shipped_for(recipe_of("compact"))
-
-    monkeypatch.setattr(impostors, "path_of", lambda encoder: to)
-    impostors.read.cache_clear()
-    try:
-        made = shipped_for(recipe_of("compact"))
-    finally:
-        impostors.read.cache_clear()
+    made = read_from(to)
 
     assert made is not None
     assert shipped is not None
-    np.testing.assert_array_equal(made.full, shipped.full[::OF_A_KIND])
+    assert made.placeless == len(made.full)
+    np.testing.assert_array_equal(made.full, shipped.full[: shipped.placeless : OF_A_KIND])
+
+
+def test_photographs_are_places_elsewhere_in_the_mirror(tmp_path: Path) -> None:
+    free, to = tmp_path / "free", tmp_path / "some.safetensors"
+    upright, wide, left_out = (scene(f"elsewhere {n}", "street").pixels for n in range(3))
+    for folder, pixels in (("one", wide[:, ::-1]), ("two", upright[:, 50:300]), ("by-sa/three", left_out)):
+        for number in range(EVERY):
+            path = free / folder / f"{number:04}.jpg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(path), pixels[..., ::-1] if number == 0 else np.zeros_like(pixels))
+
+    first, second = mirrored(free)
+    main(["--encoder", "compact", "--of-a-kind", "1", "--free", str(free), "--to", str(to)])
+
+    assert first.shape == wide.shape
+    assert np.abs(first.astype(int) - wide).mean() < 5
+    across, down = impostors.EXTENT
+    assert second.shape[0] == pytest.approx(250 * down / across, abs=1)
+    found = read_from(to)
+    assert found is not None
+    assert (found.placeless, len(found.full)) == (len(KINDS), len(KINDS) + 2)
