@@ -66,7 +66,9 @@ def add(verbs: Verbs) -> None:
         help="enrol images or folders of images",
         description="Enrol images; those in the map already stay as they are. Repeat the command to continue.",
     )
-    parser.add_argument("paths", nargs="+", metavar="PATH", help="image, folder (with all inside) or glob")
+    parser.add_argument(
+        "paths", nargs="+", metavar="PATH", help="image, folder (all inside that is not hidden) or glob"
+    )
     parser.add_argument("--map", help="map to enrol into (default: default)")
     parser.add_argument("--place", help="your name for the place that all these images show")
     parser.add_argument(

@@ -32,7 +32,8 @@ class Skipped:
 def find(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Path]:
     """Images that files, folders (with all inside) and globs name, each once; within each argument by their names.
 
-    What a folder has besides is added to `skipped`.
+    What a folder has besides is added to `skipped`, but for what is hidden, by a dot: thumbnails, what macOS leaves
+    beside each image, the store of git-annex.
 
     Raises
     ------
@@ -43,7 +44,8 @@ def find(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Pat
     for text in paths:
         path = Path(text)
         if path.is_dir():
-            files = sorted((p for p in path.rglob("*") if p.is_file() or p.is_symlink()), key=_in_order)
+            shown = [p for p in path.rglob("*") if not _is_hidden(p.relative_to(path))]
+            files = sorted((p for p in shown if p.is_file() or p.is_symlink()), key=_in_order)
             reasons = {p: _not_taken(p) for p in files}
             inside = [p for p in files if reasons[p] is None]
             if skipped is not None:
@@ -66,6 +68,10 @@ def absolute(path: Path) -> Path:
     Files that git-annex or DVC keep are links to files of other names.
     """
     return Path(os.path.abspath(path))
+
+
+def _is_hidden(path: Path) -> bool:
+    return any(part.startswith(".") for part in path.parts)
 
 
 def _in_order(path: Path) -> list[tuple[object, ...]]:

@@ -36,7 +36,9 @@ def add(verbs: Verbs) -> None:
         description="Ask about each image of a walk in turn, then enrol it. Prints which images show the place of an "
         "earlier one; what was found when it is interrupted is written. docs/loops.md says how to read it.",
     )
-    parser.add_argument("paths", nargs="+", metavar="PATH", help="image, folder (with all inside) or glob, in order")
+    parser.add_argument(
+        "paths", nargs="+", metavar="PATH", help="image, folder (all inside that is not hidden) or glob, in order"
+    )
     parser.add_argument("--map", required=True, help="map of this walk alone")
     parser.add_argument(
         "--positions", type=Path, metavar="CSV", required=True, help="odometry: columns file, x, y and heading if known"

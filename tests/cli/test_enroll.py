@@ -196,6 +196,21 @@ def test_what_is_skipped_is_named_with_its_reason(service: FakeService, folder: 
     assert len(json.loads(capsys.readouterr().out)["skipped"]) == 3
 
 
+def test_what_is_hidden_in_a_folder_is_left_out(service: FakeService, folder: Path, capsys: Out) -> None:
+    (folder / "._a.jpg").write_bytes(b"what macOS leaves beside an image")
+    for name in (".git/annex/objects", ".thumbnails"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "b.jpg").write_bytes(b"\xff\xd8\xff")
+    service.replies["POST /enroll"] = 201, answers.enrolled()
+
+    assert main(["enroll", str(folder), "--dry-run"]) == 0
+    told = capsys.readouterr()
+    assert "\n3 would be enrolled\n" in told.out
+    assert "/." not in (told.out + told.err).replace(str(folder), "")
+    assert main(["enroll", str(folder / ".thumbnails"), "--dry-run"]) == 0  # it was named
+    assert capsys.readouterr().out.endswith("\n1 would be enrolled\n")
+
+
 def test_a_link_has_its_own_name_and_folder(tmp_path: Path, capsys: Out) -> None:
     """As of git-annex and DVC, whose folders hold links: by the files behind them the positions were exchanged."""
     (tmp_path / "store").mkdir()
