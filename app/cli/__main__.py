@@ -86,15 +86,15 @@ def _test(arguments: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    whole = parser()
-    given = points_joined(sys.argv[1:] if argv is None else argv)
-    if (near := _meant(whole, given)) is not None:
-        whole.error(f"there is no command {given[0]!r}; did you mean {near!r}? `revisit --help` lists all")
-    arguments, rest = whole.parse_known_args(given)
-    if rest and not hasattr(arguments, "rest"):
-        whole.error(f"unrecognized arguments: {' '.join(rest)}")
-    arguments.rest = rest
     try:
+        whole = parser()
+        given = points_joined(sys.argv[1:] if argv is None else argv)
+        if (near := _meant(whole, given)) is not None:
+            whole.error(f"there is no command {given[0]!r}; did you mean {near!r}? `revisit --help` lists all")
+        arguments, rest = whole.parse_known_args(given)
+        if rest and not hasattr(arguments, "rest"):
+            whole.error(f"unrecognized arguments: {' '.join(rest)}")
+        arguments.rest = rest
         if hasattr(arguments, "url") and getattr(arguments, "service", True):  # `version` may call none
             _check_settings()
         return int(arguments.run(arguments))

@@ -1,5 +1,6 @@
 """Wrong use is exit code 2, failure 1, and each says what to do next; nothing slow is imported to say so."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -73,6 +74,18 @@ def test_a_mistake_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) 
 
     with pytest.raises(ZeroDivisionError):
         main(["places"])
+
+
+def test_whoever_interrupts_while_the_commands_are_loaded_gets_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(importlib, "import_module", interrupted)
+
+    assert main(["places"]) == 130
+    assert capsys.readouterr().err == "revisit: interrupted\n"
 
 
 def test_help_loads_nothing_slow() -> None:
