@@ -7,9 +7,17 @@ them as multipart parts too, `validated` JSON.
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from schemas.errors import MOST_MISTAKES, InvalidParameters, ParameterError
@@ -31,6 +39,15 @@ class Parameters(BaseModel):
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
         """Mistakes between parameters that are each valid; for subclasses to override."""
         return []
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _as_numbers_are_written(cls, value: object, info: ValidationInfo) -> object:
+        """Refuse 12_5, which Python alone reads as 125."""
+        field = cls.model_fields[str(info.field_name)]
+        if isinstance(value, str) and "_" in value and _has_numbers(field.annotation):
+            raise ValueError("has an underscore, which no number has")
+        return value
 
     @model_validator(mode="wrap")
     @classmethod
@@ -139,6 +156,10 @@ def in_words(one: Mapping[str, Any], path: Sequence[str | int], known: Sequence[
     else:
         detail = f"{one['msg'].removeprefix('Value error, ')} (got {_shown(one['input'])})"
     return ParameterError(name, detail)
+
+
+def _has_numbers(annotation: object) -> bool:
+    return annotation in (int, float) or any(map(_has_numbers, get_args(annotation)))
 
 
 def _shown(value: object) -> str:

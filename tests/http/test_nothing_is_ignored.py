@@ -59,6 +59,18 @@ def test_repeated_parts_are_named(client: CheckedClient, method: str, path: str)
         assert any("2 times" in error["detail"] for error in answer.json()["errors"]), (name, answer.text)
 
 
+def test_a_number_with_an_underscore_is_none(client: CheckedClient) -> None:
+    """Python alone reads 12_5 as 125; it is 12.5 that was meant."""
+    numbers = {"x": "12_5", "y": "1_0"}
+    answer = client.post("/enroll", files={"image": photo()}, data={**numbers, "place": "hall_1", "map": "floor_1"})
+    assert {error["parameter"] for error in answer.json()["errors"]} == set(numbers)
+
+    numbers = {"near": "1_0,2,30", "top": "1_0", "precision": "0.9_7"}
+    answer = client.post("/query", files={"image": photo()}, data={**numbers, "map": "floor_1"})
+    assert {error["parameter"] for error in answer.json()["errors"]} == set(numbers)
+    assert "no number has (got '1_0')" in answer.json()["detail"]
+
+
 @pytest.mark.parametrize("coding", ["base64", "Quoted-Printable", "x-own"])
 def test_a_part_that_would_have_to_be_decoded_is_refused(client: CheckedClient, coding: str) -> None:
     for name, (filename, content) in {"place": (None, "aGFsbA=="), "image": ("a.jpg", photo())}.items():
