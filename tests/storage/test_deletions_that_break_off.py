@@ -14,6 +14,7 @@ import time_machine
 
 from schemas.errors import NotFound, StorageFailed
 from schemas.map_changes import MapChanges
+from schemas.records import Filters
 from schemas.snapshot import RestoredMap
 from tests.storage.carried import JOB, filled, made
 from tests.storage.material import NOW, RECIPE, describe_all, enroll
@@ -250,6 +251,26 @@ def test_images_whose_removal_broke_off_go_once_the_database_is_back(
 
     until(is_tidy)
     assert store._images.left == frozenset()
+
+
+def test_a_receipt_counts_its_images_though_the_service_tends_to_what_is_left_meanwhile(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places = [f"place {number}" for number in range(8)]
+    for place in places:
+        enroll(store, place)
+    discard = store._images._discard  # type: ignore[attr-defined]
+
+    def slow(digests: list[str]) -> Any:
+        if threading.current_thread() is threading.main_thread():
+            store.tend()
+            if store.removals._finishing is not None:
+                store.removals._finishing.join(0.5)  # it waits for the lock on this call's images at last
+        return discard(digests)
+
+    monkeypatch.setattr(store._images, "_discard", slow)
+    receipt = store.removals.delete_views("campus", Filters())
+    assert (receipt.views, receipt.images) == (len(places), len(places))
 
 
 def test_images_that_a_map_keeps_no_longer_go_when_that_is_said_again(

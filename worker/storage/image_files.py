@@ -186,15 +186,18 @@ class Images:
         What is no digest comes from a damaged row and names no image; as a path it could be that of any file.
         """
         removed, needed = 0, set[str]()
-        named = {digest for digest in digests if DIGEST.fullmatch(digest)}
-        self._left.update(named)
-        for first, group in groupby(sorted(named), key=lambda digest: digest[:2]):
-            few = list(group)
-            with self._locked(first):
-                some = self._discard(few)
-            self._left.difference_update(few)
-            removed += some.removed
-            needed |= some.needed
+        waiting = {digest for digest in digests if DIGEST.fullmatch(digest)}
+        try:
+            for first, group in groupby(sorted(waiting), key=lambda digest: digest[:2]):
+                few = list(group)
+                with self._locked(first):
+                    some = self._discard(few)
+                waiting.difference_update(few)
+                self._left.difference_update(few)
+                removed += some.removed
+                needed |= some.needed
+        finally:  # none before that: who removes what is left would take it from this call, which counts it
+            self._left.update(waiting)
         return Discarded(removed, frozenset(needed))
 
     @property
