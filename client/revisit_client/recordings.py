@@ -97,6 +97,8 @@ def folder_as_zip(folder: Path, manifest: Path | None = None) -> Iterator[bytes]
     ------
     ValueError
         There is a manifest in the folder too, or nothing to send.
+    OSError
+        The manifest cannot be read.
     """
     files = [(path, path.relative_to(folder).as_posix()) for path in files_of(folder)]
     if not any(path.suffix.lower() in SUFFIXES for path, _ in files):
@@ -106,6 +108,8 @@ def folder_as_zip(folder: Path, manifest: Path | None = None) -> Iterator[bytes]
         there = [path for path, name in files if name.rpartition("/")[2].lower() in MANIFESTS]
         if there:
             raise ValueError(f"{there[0]} is a manifest, and {manifest} was given; one of them has to go")
+        with manifest.open("rb"):  # it is the last to be packed: one that is missing is told first
+            pass
         suffix = manifest.suffix.lower()
         name = f"manifest{suffix}" if f"manifest{suffix}" in MANIFESTS else "manifest.csv"
         files = [*files, (manifest, name)]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from revisit_client.recordings import folder_as_zip
 
 from app.cli.__main__ import main
 from tests import answers
@@ -116,6 +117,11 @@ def test_an_archive_is_sent_as_it_is_and_need_not_be_waited_for(
 
     assert [body for _, body in service.requests] == [b"an archive"]
     assert "waiting" in capsys.readouterr().out
+
+
+def test_a_manifest_that_is_missing_is_told_before_anything_is_sent(walk: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"poses\.csv"):
+        folder_as_zip(walk, tmp_path / "poses.csv")  # no piece of it was asked for
 
 
 @pytest.mark.parametrize("arguments", [["empty"], ["walk.zip", "--manifest", "poses.csv"], ["walk", "--manifest", "p"]])
