@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.options import Verbs
-from app.cli.output import DONE, Failure, say, show, show_json, table, wrong_use
-from app.cli.serve import place_of, settings_of
+from app.cli.output import DONE, say, show, show_json, table, wrong_use
+from app.cli.serve import place_of, refuse_missing, settings_of
 
 if TYPE_CHECKING:
     from schemas.keys import KeyRecord
@@ -68,11 +68,8 @@ def _count(text: str) -> int:
 def _keys(arguments: argparse.Namespace, *, new: bool = False) -> "Iterator[KeyService]":
     """The keys of a data folder; `new`: a folder without a database gets one, otherwise it is refused."""
     settings = settings_of(arguments, "data")
-    if not new and settings.database is None and not (settings.data / "revisit.db").exists():
-        raise Failure(
-            f"{settings.data.resolve()} has no database of a service: --data or REVISIT_DATA names its data folder; "
-            "`keys create` begins a new one"
-        )
+    if not new:
+        refuse_missing(settings, "keys create")
     from worker.service.keys import KeyService
     from worker.storage.store import open_store
 

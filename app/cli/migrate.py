@@ -5,7 +5,7 @@ from pathlib import Path
 
 from app.cli.options import Verbs
 from app.cli.output import DONE, show
-from app.cli.serve import settings_of
+from app.cli.serve import refuse_missing, settings_of
 
 
 def add(verbs: Verbs) -> None:
@@ -18,6 +18,7 @@ def add(verbs: Verbs) -> None:
 def run_migrate(arguments: argparse.Namespace) -> int:
     """Bring the database to the newest schema."""
     settings = settings_of(arguments, "data")
+    refuse_missing(settings, "serve")
     from worker.storage.migrating import migrate
 
     settings.data.mkdir(parents=True, exist_ok=True)

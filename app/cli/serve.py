@@ -77,6 +77,15 @@ def place_of(settings: "Settings") -> str:
     return str(settings.data.resolve()) if settings.database is None else "the database of REVISIT_DATABASE"
 
 
+def refuse_missing(settings: "Settings", what_makes_one: str) -> None:
+    """Raise Failure where the data folder has no database: one that is mistyped says nothing of the service."""
+    if settings.database is None and not (settings.data / "revisit.db").exists():
+        raise Failure(
+            f"{settings.data.resolve()} has no database of a service: --data or REVISIT_DATA names its data folder; "
+            f"`{what_makes_one}` begins a new one"
+        )
+
+
 def run_serve(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
     check_processor()

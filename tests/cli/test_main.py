@@ -132,6 +132,16 @@ def test_the_healthcheck_tells_by_its_exit_code(
         assert "encoder: loading" in capsys.readouterr().err
 
 
+def test_a_folder_without_a_database_is_not_migrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "dta"
+    assert main(["migrate", "--data", str(folder)]) == 1
+    assert (capsys.readouterr().err, folder.exists()) == (
+        f"revisit: {folder} has no database of a service: --data or REVISIT_DATA names its data folder; "
+        "`serve` begins a new one\n",
+        False,
+    )
+
+
 @pytest.mark.parametrize(
     ("host", "url"),
     [
