@@ -13,9 +13,12 @@ Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """The collection that commands are added to; argparse has no public name for it."""
 
 
-def add_service_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of all commands that call a running service."""
-    parser.add_argument("--url", help="address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)")
+def add_service_options(
+    parser: argparse.ArgumentParser,
+    url: str = "address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)",
+) -> None:
+    """Add the options of all commands that call a running service; `url` is the help of that option."""
+    parser.add_argument("--url", help=url)
     parser.add_argument("--key", help="key of the service; REVISIT_KEY is better, since others can list arguments")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
 

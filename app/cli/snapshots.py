@@ -42,7 +42,7 @@ def add(verbs: Verbs) -> None:
     restore.add_argument("file", type=Path, help="the file")
     restore.add_argument("--as", dest="name", metavar="NAME", help="name of the new map (default: the one it had)")
     restore.add_argument("--data", type=Path, help="data folder of the stopped service (default: data)")
-    add_service_options(restore)
+    add_service_options(restore, "restore through the running service at this address; REVISIT_URL says nothing here")
     restore.set_defaults(run=run_restore)
 
 

@@ -103,3 +103,12 @@ def test_a_file_that_cannot_be_read_makes_no_data_folder(tmp_path: Path, name: s
     assert main(["restore", str(tmp_path / name), "--data", str(data)]) == 1
     assert capsys.readouterr().err.startswith(f"revisit: {tmp_path / name}: ")
     assert not data.exists()
+
+
+def test_the_help_of_restore_says_that_only_url_makes_it_call_a_service(capsys: pytest.CaptureFixture[str]) -> None:
+    """With REVISIT_URL set it works on the data folder all the same: its help named that as the default."""
+    with pytest.raises(SystemExit):
+        main(["restore", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "this address; REVISIT_URL says nothing here" in told
+    assert "default: REVISIT_URL" not in told
