@@ -130,7 +130,7 @@ class TestAgreeing:
         pairs = dense_cells.correspondences(query, candidates)
         burstiness = dense_cells.burstiness_weight(query)
 
-        won = hough.winning(pairs, burstiness, (8, 12), 3, cell_aspect=np.ones((3, 2)))
+        won = hough.winning(pairs, burstiness, (8, 12), 3, np.ones((3, 2)))
 
         summed = np.bincount(pairs.candidate[won.pairs], won.weights, 3)
         np.testing.assert_allclose(summed, won.heights)

@@ -112,7 +112,7 @@ def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
         candidate_cell=np.array([1, 2, 19]),  # columns 1 and 2; row 1, column 9
         cosine=np.array([1.0, 0.5, 1.0], np.float32),
     )
-    found = hough.agreement(pairs, np.ones(20, np.float32), (2, 10), 1, zooms=(1.0,), tolerance=0)
+    found = hough.agreement(pairs, np.ones(20, np.float32), (2, 10), 1)
     # The first two move one column to the right: (1 + .25) / 20 cells; the third moves elsewhere.
     np.testing.assert_allclose(found.scores, [np.sqrt(1.25 / 20)])
     assert found.shifts.tolist() == [[0, 1]]
@@ -147,16 +147,17 @@ def test_an_image_has_similarity_1_with_itself() -> None:
 
 
 def test_a_step_forward_is_found_as_a_zoom() -> None:
-    wide = cells(7, rows=16, columns=20)
-    rows = np.rint((np.arange(16) - 7.5) / 1.25 + 7.5).astype(int)
-    columns = np.rint((np.arange(20) - 9.5) / 1.25 + 9.5).astype(int)
+    wide = cells(7, rows=24, columns=30)
+    rows = np.rint((np.arange(24) - 11.5) / 1.25 + 11.5).astype(int)
+    columns = np.rint((np.arange(30) - 14.5) / 1.25 + 14.5).astype(int)
     near = wide[rows][:, columns]
     pairs = dense_cells.correspondences(wide, np.stack([near, wide]))
-    found = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0)
-    assert found.zooms.tolist() == [1.25, 1.0]
+    burstiness = np.ones(720, np.float32)
+    assert hough.winning(pairs, burstiness, (24, 30), 2, np.ones((2, 2))).zooms.tolist() == [1.25, 1.0]
+    found = hough.agreement(pairs, burstiness, (24, 30), 2)
     assert found.scales[0] == pytest.approx(1.25, abs=0.03)
     assert found.scales[1] == 1
-    unqueried = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0, estimate_scales=False)
+    unqueried = hough.agreement(pairs, burstiness, (24, 30), 2, estimate_scales=False)
     assert unqueried.scales.tolist() == [1, 1]
     assert unqueried.scores.tolist() == found.scores.tolist()
 
@@ -172,7 +173,7 @@ def test_a_scale_is_measured_whatever_the_shift_and_pulled_towards_one_when_few_
     there = np.rint((row - 19.5) * scale + 19.5) * 60 + np.rint((column - 29.5) * scale + 29.5 + across)
     everywhere = np.zeros(count, np.intp)
     pairs = hough.Correspondences(everywhere, row * 60 + column, there.astype(np.intp), np.ones(count, np.float32))
-    found = hough.agreement(pairs, np.ones(2400, np.float32), shape, 1, tolerance=3)
+    found = hough.agreement(pairs, np.ones(2400, np.float32), shape, 1)
 
     measured = float(found.scales[0])
     assert min(scale, 1) - 0.05 <= measured <= max(scale, 1) + 0.05
@@ -192,7 +193,7 @@ def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> N
     large = cells(seed, rows=20, columns=24, channels=24)
     query, moved = large[6:14, 6:18], large[6 - down : 14 - down, 6 - across : 18 - across]
     pairs = dense_cells.correspondences(query, moved[None])
-    found = hough.agreement(pairs, np.ones(96, np.float32), (8, 12), 1, tolerance=0)
+    found = hough.agreement(pairs, np.ones(96, np.float32), (8, 12), 1)
     assert found.shifts.tolist() == [[down, across]]
     assert found.scores[0] ** 2 >= (8 - abs(down)) * (12 - abs(across)) / 96 - 0.1
 

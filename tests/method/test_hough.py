@@ -13,7 +13,6 @@ def largest_weight(
     pairs: Correspondences,
     burstiness: np.ndarray,
     shape: tuple[int, int],
-    tolerance: int,
     cell_aspect: tuple[float, float] = (1.0, 1.0),
 ) -> float:
     """Weight of the heaviest window of the only candidate, by trying each displacement."""
@@ -27,7 +26,7 @@ def largest_weight(
         weight = pairs.cosine.astype(np.float64) ** 2 * burstiness[pairs.query_cell]
         for down in range(-reach[0], reach[0] + 1):
             for across in range(-reach[1], reach[1] + 1):
-                near = (np.abs(moved - [down, across]) <= tolerance).all(axis=1)
+                near = (np.abs(moved - [down, across]) <= hough.TOLERANCE).all(axis=1)
                 heaviest = max(heaviest, weight[near].sum())
     return heaviest
 
@@ -35,11 +34,10 @@ def largest_weight(
 @given(
     seed=st.integers(0, 2**32 - 1),
     shape=st.tuples(st.integers(1, 7), st.integers(1, 9)),
-    tolerance=st.integers(0, 3),
     cell_aspects=st.lists(st.tuples(SIZES, SIZES), min_size=1, max_size=3),
 )
 def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
-    seed: int, shape: tuple[int, int], tolerance: int, cell_aspects: list[tuple[float, float]]
+    seed: int, shape: tuple[int, int], cell_aspects: list[tuple[float, float]]
 ) -> None:
     """Several candidates with the same pairs and cells of other sizes."""
     rng = np.random.default_rng(seed)
@@ -55,11 +53,11 @@ def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
         )
 
     some = len(cell_aspects)
-    found = hough.agreement(of(some), burstiness, shape, some, tolerance=tolerance, cell_aspect=np.array(cell_aspects))
+    found = hough.agreement(of(some), burstiness, shape, some, cell_aspect=np.array(cell_aspects))
 
-    heaviest = [largest_weight(of(1), burstiness, shape, tolerance, cell_aspect) for cell_aspect in cell_aspects]
+    heaviest = [largest_weight(of(1), burstiness, shape, cell_aspect) for cell_aspect in cell_aspects]
     assert found.scores == pytest.approx(np.sqrt(np.minimum(1, heaviest / burstiness.sum())), abs=1e-6)
-    [plain] = hough.agreement(of(1), burstiness, shape, 1, tolerance=tolerance).scores
+    [plain] = hough.agreement(of(1), burstiness, shape, 1).scores
     assert all(
         score == plain
         for score, cell_aspect in zip(found.scores, cell_aspects, strict=True)
@@ -87,9 +85,7 @@ def test_the_cell_aspect_aligns_an_upright_grid_with_a_landscape_one(height: int
     ours = np.arange(shape[0] * shape[1])
     theirs = (np.repeat(rows + shape[0] // 2, shape[1]) * shape[1] + np.tile(across, shape[0])).astype(np.intp)
     pairs = Correspondences(np.zeros(len(ours), np.intp), ours, theirs, np.ones(len(ours), np.float32))
-    found = hough.agreement(
-        pairs, np.ones(len(ours), np.float32), shape, 1, tolerance=1, cell_aspect=np.array([[1.0, 2.0]])
-    )
+    found = hough.agreement(pairs, np.ones(len(ours), np.float32), shape, 1, cell_aspect=np.array([[1.0, 2.0]]))
     assert found.scores[0] == pytest.approx(1.0)
     assert found.shifts.tolist() == [[0, 0]]
     assert found.scales[0] == pytest.approx(1.0, abs=0.1)

@@ -186,7 +186,7 @@ def _agreeing(
     pairs = correspondences(query, candidate[None], length=length)
     burstiness = burstiness_weight(query, length=length)
     aspect = np.ones(2) if cell_aspect is None else cell_aspect
-    won = hough.winning(pairs, burstiness, shape, 1, cell_aspect=aspect[None])
+    won = hough.winning(pairs, burstiness, shape, 1, aspect[None])
     weight = won.weights / hough.largest_weight(burstiness) * factor**2
     kept = weight > 0
     weight = weight[kept] / max(1.0, float(weight.sum()))

@@ -61,11 +61,9 @@ class Agreement:
         two of its cells are equal.
     shifts : intp of shape (candidates, 2)
         (rows, columns) by which the query's centre moves: the mean over the pairs that agree, in cells of the query.
-    zooms : float32 of shape (candidates,)
-        The zoom that fits best; 1 where nothing corresponds.
     scales : float32 of shape (candidates,)
-        Size in the candidate relative to the query, 0.5..2: as `zooms`, but estimated continuously from the pairs that
-        agree, and shrunk towards 1 where they are few or close together.
+        Size in the candidate relative to the query, 0.5..2, estimated from the pairs that agree, and shrunk towards 1
+        where they are few or close together.
     cells : float32 of shape (candidates, rows * columns)
         Share of the largest possible weight that agrees at each query cell, at least 0; the root of a candidate's sum
         is its score.
@@ -73,7 +71,6 @@ class Agreement:
 
     scores: Floats
     shifts: Indices
-    zooms: Floats
     scales: Floats
     cells: Floats
 
@@ -104,8 +101,6 @@ def agreement(
     burstiness: Floats,
     shape: tuple[int, int],
     candidates: int,
-    zooms: Sequence[float] = ZOOMS,
-    tolerance: int = TOLERANCE,
     *,
     cell_aspect: Doubles | None = None,
     estimate_scales: bool = True,
@@ -121,10 +116,6 @@ def agreement(
         Rows and columns of the grids.
     candidates : int
         Number of candidates, including those without a correspondence.
-    zooms : sequence of float
-        Greater than 0.
-    tolerance : int
-        In cells, at least 0.
     cell_aspect : float64 of shape (candidates, 2), optional
         Height and width of each candidate's cells relative to the query's, see `cell_aspects`; without it, all 1.
     estimate_scales : bool
@@ -138,20 +129,19 @@ def agreement(
     -----
     A correspondence of cosine c weighs c^2 times the burstiness weight of its query cell. Displacements of more than
     half the image are left out: the overlap would be too small. With zoom z a query cell p (from the image's centre)
-    is expected at z p + t; both sides are divided by sqrt(z) so that the tolerance is the same in either direction.
+    is expected at z p + t; both sides are divided by sqrt(z) so that `TOLERANCE` is the same in either direction.
     The root brings similarities of different channels closer in size: without it the channel with larger ones would
     decide alone.
     """
     cell_aspect = np.ones((candidates, 2)) if cell_aspect is None else cell_aspect
-    won = winning(pairs, burstiness, shape, candidates, zooms, tolerance, cell_aspect=cell_aspect)
-    score, chosen, weight = won.heights, won.zooms, won.weights
+    won = winning(pairs, burstiness, shape, candidates, cell_aspect)
+    score, weight = won.heights, won.weights
     candidate = pairs.candidate[won.pairs]
     ours = _centred(pairs.query_cell[won.pairs], shape)
     down, across = _centred(pairs.candidate_cell[won.pairs], shape)
     theirs = down * cell_aspect[candidate, 0], across * cell_aspect[candidate, 1]
-    zoomed = np.array(zooms, np.float64)[chosen]
     moved = [
-        np.bincount(candidate, weight * (there - here * zoomed[candidate]), candidates)
+        np.bincount(candidate, weight * (there - here * won.zooms[candidate]), candidates)
         for here, there in zip(ours, theirs, strict=True)
     ]
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None]
@@ -161,7 +151,6 @@ def agreement(
     return Agreement(
         np.sqrt(np.minimum(score / largest, 1)).astype(np.float32),
         np.rint(np.where(score[:, None] > 0, shift, 0)).astype(np.intp),
-        np.where(score > 0, zoomed, 1).astype(np.float32),
         np.clip(scale, 1 / LARGEST_SCALE, LARGEST_SCALE).astype(np.float32),
         (agreeing / largest).reshape(candidates, cells).astype(np.float32),
     )
@@ -179,37 +168,30 @@ class Winning:
         Of those rows; they sum to `heights` by candidate.
     heights : float64 of shape (candidates,)
         The largest weight of each candidate.
-    zooms : intp of shape (candidates,)
-        Index of its zoom.
+    zooms : float64 of shape (candidates,)
+        Its zoom; 1 where nothing corresponds.
     """
 
     pairs: Indices
     weights: Doubles
     heights: Doubles
-    zooms: Indices
+    zooms: Doubles
 
 
 def winning(
-    pairs: Correspondences,
-    burstiness: Floats,
-    shape: tuple[int, int],
-    candidates: int,
-    zooms: Sequence[float] = ZOOMS,
-    tolerance: int = TOLERANCE,
-    *,
-    cell_aspect: Doubles,
+    pairs: Correspondences, burstiness: Floats, shape: tuple[int, int], candidates: int, cell_aspect: Doubles
 ) -> Winning:
     """The correspondences that make the score of each candidate; parameters and weights as in `agreement`."""
     weight = pairs.cosine.astype(np.float64) ** 2 * burstiness[pairs.query_cell]
-    slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, cell_aspect)
-    heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
+    slots, voted = _votes(pairs, shape, cell_aspect)
+    heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots)
     score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
     for zoom, height in enumerate(heights):
         better = height > score + 1e-9
         score[better], chosen[better] = height[better], zoom
     peak = peaks[chosen, np.arange(candidates)]
     agree = np.flatnonzero(slots.near(voted[chosen[pairs.candidate], np.arange(len(weight))], peak[pairs.candidate]))
-    return Winning(agree, weight[agree], score, chosen)
+    return Winning(agree, weight[agree], score, np.array(ZOOMS)[chosen])
 
 
 def largest_weight(burstiness: Floats) -> float:
@@ -251,49 +233,45 @@ class _Slots:
         Number of bins along each axis, the last row not counted.
     of : int32 of shape (zooms, cells * cells)
         Bin of every pair of cells, at index query cell * cells + candidate cell.
-    tolerance : int
     """
 
     rows: int
     columns: int
-    of: npt.NDArray[np.int32]
-    tolerance: int
+    of: Int32s
 
     def near(self, slots: Int32s, peaks: Indices) -> npt.NDArray[np.bool_]:
-        """Whether each bin lies within the tolerance of its peak; windows around peaks never reach the last row."""
+        """Whether each bin lies within `TOLERANCE` of its peak; windows around peaks never reach the last row."""
         down, across = (a - b for a, b in zip(divmod(slots, self.columns), divmod(peaks, self.columns), strict=True))
-        close: npt.NDArray[np.bool_] = (np.abs(down) <= self.tolerance) & (np.abs(across) <= self.tolerance)
+        close: npt.NDArray[np.bool_] = (np.abs(down) <= TOLERANCE) & (np.abs(across) <= TOLERANCE)
         return close
 
 
-def _votes(
-    pairs: Correspondences, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, cell_aspect: Doubles
-) -> tuple[_Slots, Int32s]:
+def _votes(pairs: Correspondences, shape: tuple[int, int], cell_aspect: Doubles) -> tuple[_Slots, Int32s]:
     """The bins, and the bin that each pair votes for under each zoom: int32 (zooms, pairs)."""
-    slots = _slots(shape, zooms, tolerance)
+    slots = _slots(shape)
     voted = slots.of[:, pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell]
     other = np.flatnonzero((cell_aspect != 1).any(axis=1)[pairs.candidate])
     if len(other):
         down, across = _centred(pairs.candidate_cell[other], shape)
         height, width = cell_aspect[pairs.candidate[other]].T
         ours = _centred(pairs.query_cell[other], shape)
-        voted[:, other] = _displaced(ours, (down * height, across * width), shape, zooms, tolerance)
+        voted[:, other] = _displaced(ours, (down * height, across * width), shape)
     return slots, voted
 
 
 @lru_cache(maxsize=16)
-def _slots(shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> _Slots:
-    """Bins for displacements of at most half a grid of `shape` plus the tolerance."""
+def _slots(shape: tuple[int, int]) -> _Slots:
+    """Bins for displacements of at most half a grid of `shape` plus `TOLERANCE`."""
     down, across = _centred(np.arange(shape[0] * shape[1]), shape)
-    slots = _displaced((down[:, None], across[:, None]), (down, across), shape, zooms, tolerance)
-    rows, columns = _extremes(shape, tolerance)
-    return _Slots(2 * rows + 1, 2 * columns + 1, slots.reshape(len(zooms), -1), tolerance)
+    slots = _displaced((down[:, None], across[:, None]), (down, across), shape)
+    rows, columns = _extremes(shape)
+    return _Slots(2 * rows + 1, 2 * columns + 1, slots.reshape(len(ZOOMS), -1))
 
 
-def _displaced(ours: Along, theirs: Along, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> Int32s:
+def _displaced(ours: Along, theirs: Along, shape: tuple[int, int]) -> Int32s:
     """Bins of pairs of positions under each zoom, int32 (zooms, ...); positions are broadcast against each other."""
-    rows, columns = _extremes(shape, tolerance)
-    roots = np.sqrt(np.array(zooms, np.float64)).reshape(-1, *(1 for _ in np.broadcast(ours[0], theirs[0]).shape))
+    rows, columns = _extremes(shape)
+    roots = np.sqrt(np.array(ZOOMS)).reshape(-1, *(1 for _ in np.broadcast(ours[0], theirs[0]).shape))
     down, across = (
         np.rint(there / roots - here * roots) + most
         for here, there, most in zip(ours, theirs, (rows, columns), strict=True)
@@ -303,15 +281,15 @@ def _displaced(ours: Along, theirs: Along, shape: tuple[int, int], zooms: tuple[
     return np.where(within, down * width + across, (2 * rows + 1) * width).astype(np.int32)
 
 
-def _extremes(shape: tuple[int, int], tolerance: int) -> tuple[int, int]:
+def _extremes(shape: tuple[int, int]) -> tuple[int, int]:
     """The largest displacement that has a bin, in rows and columns."""
-    return shape[0] // 2 + tolerance, shape[1] // 2 + tolerance
+    return shape[0] // 2 + TOLERANCE, shape[1] // 2 + TOLERANCE
 
 
 def _peaks(
-    candidate: Indices, voted: Int32s, weight: Doubles, candidates: int, slots: _Slots, tolerance: int
+    candidate: Indices, voted: Int32s, weight: Doubles, candidates: int, slots: _Slots
 ) -> tuple[Doubles, Indices]:
-    """Largest weight within `tolerance` of one displacement of at most half the grid, and its bin; ties: the first.
+    """Largest weight within `TOLERANCE` of one displacement of at most half the grid, and its bin; ties: the first.
 
     Parameters
     ----------
@@ -321,7 +299,6 @@ def _peaks(
     weight : float64 of shape (pairs,)
     candidates : int
     slots : _Slots
-    tolerance : int
 
     Returns
     -------
@@ -334,18 +311,19 @@ def _peaks(
     index = voted * count + (np.arange(len(voted))[:, None] * candidates + candidate)
     votes = np.bincount(index.ravel(), np.tile(weight, len(voted)), (slots.rows + 1) * slots.columns * count)
     kept = np.asarray(votes, np.float64).reshape(slots.rows + 1, slots.columns, count)[: slots.rows]
-    heights = _running(_running(kept, 2 * tolerance + 1).swapaxes(0, 1), 2 * tolerance + 1)
+    heights = _running(_running(kept).swapaxes(0, 1))
     columns, rows = heights.shape[:2]
     flat = heights.swapaxes(0, 1).reshape(rows * columns, count)
     first = flat.argmax(axis=0)
     row, column = np.divmod(first, columns)
-    peak = (row + tolerance) * slots.columns + column + tolerance
+    peak = (row + TOLERANCE) * slots.columns + column + TOLERANCE
     height = flat[first, np.arange(count)]
     return height.reshape(len(voted), candidates), peak.reshape(len(voted), candidates)
 
 
-def _running(values: Doubles, window: int) -> Doubles:
-    """Sums of `window` neighbours along the first axis, put together from sums of 1, 2, 4, ... neighbours."""
+def _running(values: Doubles) -> Doubles:
+    """Sums over windows along the first axis, put together from sums of 1, 2, 4, ... neighbours."""
+    window = 2 * TOLERANCE + 1
     count = len(values) - window + 1
     total, done, sums, size = np.zeros(()), 0, values, 1
     while True:
