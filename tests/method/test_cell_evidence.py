@@ -165,14 +165,15 @@ class TestContrast:
         assert (found.numbers[3:5, 6] == 2).all()
         assert (found.numbers > 0).sum() == 8
 
-    def test_the_strongest_come_first_and_no_more_than_wanted(self) -> None:
-        first = evidence_of({(0, 0): 0.01, (0, 4): 0.012, (3, 2): 0.011})
-        rival = evidence_of({(5, 7): 0.02})
+    def test_the_strongest_come_first_and_no_more_than_five(self) -> None:
+        shape = (6, 12)
+        first = evidence_of({(0, 0): 0.01, (0, 4): 0.012, (3, 2): 0.011, (0, 8): 0.013, (3, 6): 0.014}, shape)
+        rival = evidence_of({(5, 11): 0.02}, shape)
 
-        found = cell_evidence.contrast(first, rival, (1.0, 0.75), components, most=3)
+        found = cell_evidence.contrast(first, rival, (1.0, 0.75), components)
 
-        assert [round(region.strength, 3) for region in found.regions] == [-0.02, 0.012, 0.011]
-        assert set(np.unique(found.numbers)) == {0, 1, 2, 3}
+        assert [round(region.strength, 3) for region in found.regions] == [-0.02, 0.014, 0.013, 0.012, 0.011]
+        assert set(np.unique(found.numbers)) == {0, 1, 2, 3, 4, 5}
 
     def test_two_equal_candidates_differ_nowhere(self) -> None:
         same = evidence_of({(1, 1): 0.02, (4, 4): 0.01})

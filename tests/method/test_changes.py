@@ -134,13 +134,14 @@ def test_photos_of_nothing_but_moving_things_are_not_compared() -> None:
     assert (found.changes, found.compared) == ((), 0)
 
 
-def test_all_regions_are_told_with_how_sure_they_are() -> None:
+def test_all_regions_are_told_with_how_sure_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     then, now = place((LEFT, CHAIR)), place()
     [region] = changes.find_lost(then, now, SAME, components).gone
 
     assert 0 < region.confidence < 1
-    assert changes.find(then, now, SAME, components, sure=region.confidence + 1e-6).changes == ()
-    assert len(changes.find(then, now, SAME, components, sure=region.confidence).changes) == 1
+    for surer, told in ((1e-6, 0), (0.0, 1)):
+        monkeypatch.setattr(changes, "SURE", region.confidence + surer)
+        assert len(changes.find(then, now, SAME, components).changes) == told
 
 
 def test_a_doubtful_end_is_told_with_the_sure_one_of_the_same_thing() -> None:

@@ -121,9 +121,9 @@ def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
 def test_a_cell_that_recurs_far_away_has_burstiness_weight_0() -> None:
     # Columns: a, b, c, a, d with d halfway (cosine .6) between b and something else; neighbours do not count.
     a, b, c, d = np.eye(5)[0], np.eye(5)[1], np.eye(5)[2], 0.6 * np.eye(5)[1] + 0.8 * np.eye(5)[4]
-    burstiness = dense_cells.burstiness_weight(np.array([[a, b, c, a, d]], np.float32), apart=2)
+    burstiness = dense_cells.burstiness_weight(np.array([[a, b, c, a, d]], np.float32))
     np.testing.assert_allclose(burstiness, [0, 0.4, 1, 0, 0.4], atol=1e-6)
-    np.testing.assert_allclose(dense_cells.burstiness_weight(np.array([[a, b, c]], np.float32), apart=2), [1, 1, 1])
+    np.testing.assert_allclose(dense_cells.burstiness_weight(np.array([[a, b, c]], np.float32)), [1, 1, 1])
 
 
 def test_votes_are_weighted_by_the_burstiness_weight() -> None:

@@ -276,7 +276,7 @@ def compare_impostors(
     evidence: Evidence,
     impostors: Impostors,
     product: Product,
-    rival: float = 0.0,
+    rival: float,
 ) -> ImpostorEvidence | None:
     """Stages 1 to 3 for pictures of no place of the map, by the scale, weights and channels that candidates got.
 

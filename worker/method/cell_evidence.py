@@ -19,6 +19,9 @@ from worker.method.dense_cells import burstiness_weight, correspondences
 LEAST_DIFFERENCE = 0.25
 """Cells differ when the smoothed difference of their weights is at least this share of the largest one."""
 
+MOST_REGIONS = 5
+"""Regions that a contrast has at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class CellEvidence:
@@ -92,7 +95,7 @@ class Contrast:
     numbers : int32 of shape (rows, columns)
         1 for cells of the first of `regions`, 2 for those of the second, ...; 0 elsewhere.
     regions : tuple of Region
-        Largest strength of either sign first.
+        `MOST_REGIONS` at most, largest strength of either sign first.
     """
 
     difference: Doubles
@@ -135,9 +138,7 @@ def agreeing(
     return alone if alone.similarity > joined.similarity else joined
 
 
-def contrast(
-    first: CellEvidence, rival: CellEvidence, extent: tuple[float, float], components: Components, most: int = 5
-) -> Contrast:
+def contrast(first: CellEvidence, rival: CellEvidence, extent: tuple[float, float], components: Components) -> Contrast:
     """Where a query speaks for the first of two candidates, and where for the other.
 
     Parameters
@@ -147,8 +148,6 @@ def contrast(
     extent : (float, float)
         (width, height) of the query image as fractions of its longer side.
     components : Components
-    most : int
-        Number of regions returned at most.
 
     Notes
     -----
@@ -165,10 +164,11 @@ def contrast(
             region = parts == number
             found.append((float(difference[region].sum()), region))
     found.sort(key=lambda one: -abs(one[0]))  # a stable sort: ties in the order of their first cells, the first's first
+    found = found[:MOST_REGIONS]
     numbers = np.zeros(difference.shape, np.int32)
-    for number, (_, region) in enumerate(found[:most], start=1):
+    for number, (_, region) in enumerate(found, start=1):
         numbers[region] = number
-    regions = tuple(Region(*bounding_box(cells, extent), strength) for strength, cells in found[:most])
+    regions = tuple(Region(*bounding_box(cells, extent), strength) for strength, cells in found)
     return Contrast(difference, numbers, regions)
 
 

@@ -96,7 +96,7 @@ class Lost:
     usual: float
 
 
-def find(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Components, sure: float = SURE) -> Changes:
+def find(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Components) -> Changes:
     """What is gone, new or moved.
 
     Parameters
@@ -106,8 +106,6 @@ def find(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Comp
     transform : float64 of shape (2, 3)
         Affine, invertible: positions (x, y, 1) in `then` to those in `now`, fractions of the longer side.
     components : Components
-    sure : float
-        Changes of a smaller confidence are left out, 0..1.
 
     Raises
     ------
@@ -117,16 +115,16 @@ def find(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Comp
     lost = find_lost(then, now, transform, components)
     gone, new = list(lost.gone), list(lost.new)
     changes = []
-    for one, other in moved(lost, transform, sure):
+    for one, other in moved(lost, transform):
         gone.remove(one)
         new.remove(other)
         surer = max(one, other, key=lambda end: end.confidence)
         changes.append(Change("moved", surer.label, None, surer.confidence, one.spot, other.spot))
     changes += [
-        Change("gone", one.label, one.instead, one.confidence, one.spot, None) for one in gone if one.confidence >= sure
+        Change("gone", one.label, one.instead, one.confidence, one.spot, None) for one in gone if one.confidence >= SURE
     ]
     changes += [
-        Change("new", one.label, one.instead, one.confidence, None, one.spot) for one in new if one.confidence >= sure
+        Change("new", one.label, one.instead, one.confidence, None, one.spot) for one in new if one.confidence >= SURE
     ]
     changes.sort(key=lambda one: -one.confidence)
     return Changes(tuple(changes), lost.compared, lost.usual)
@@ -167,18 +165,16 @@ def _may_be_one(one: Region, other: Region, transform: Doubles) -> bool:
     return 1 / LIKE_SIZE <= ratio <= LIKE_SIZE and apart > REACH
 
 
-def moved(
-    lost: Lost, transform: Doubles, sure: float = SURE, similarity: float = SAME_THING
-) -> list[tuple[Region, Region]]:
+def moved(lost: Lost, transform: Doubles, similarity: float = SAME_THING) -> list[tuple[Region, Region]]:
     """Pairs of a region that is gone and one that is new which are one thing, likest first, each at most once.
 
-    `sure` is what the confidence of the surer end has to be, `similarity` how `alike` the two.
+    `similarity` is how `alike` the two have to be.
     """
     pairs = []
     for one in lost.gone:
         for other in lost.new:
             doubtful, surer = sorted((one.confidence, other.confidence))
-            if doubtful >= min(HINT, sure) and surer >= sure and _may_be_one(one, other, transform):
+            if doubtful >= HINT and surer >= SURE and _may_be_one(one, other, transform):
                 found = alike(one, other, lost.usual)
                 if found >= similarity:
                     pairs.append((found, one, other))

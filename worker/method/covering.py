@@ -8,8 +8,8 @@ SLACK = 0.08
 """By how much another label's cosine may exceed that of a covered one: rather a wall too much than a person too few."""
 
 
-def covered(label_scores: Floats, wanted: Booleans, slack: float = SLACK) -> Booleans:
-    """Cells whose label is one of those wanted, or nearly.
+def covered(label_scores: Floats, wanted: Booleans) -> Booleans:
+    """Cells whose label is one of those wanted, or nearly (`SLACK`).
 
     Parameters
     ----------
@@ -17,8 +17,6 @@ def covered(label_scores: Floats, wanted: Booleans, slack: float = SLACK) -> Boo
         Cosines, as from `labels.scores`.
     wanted : bool of shape (labels,)
         True for labels of things that are to be covered.
-    slack : float
-        Largest lead of the best other label, 0..2; 0 covers what `labels.label_map` gives those labels, and ties.
 
     Returns
     -------
@@ -28,5 +26,5 @@ def covered(label_scores: Floats, wanted: Booleans, slack: float = SLACK) -> Boo
         return np.zeros(label_scores.shape[:2], np.bool_)
     if wanted.all():
         return np.ones(label_scores.shape[:2], np.bool_)
-    found: Booleans = label_scores[..., wanted].max(axis=-1) >= label_scores[..., ~wanted].max(axis=-1) - slack
+    found: Booleans = label_scores[..., wanted].max(axis=-1) >= label_scores[..., ~wanted].max(axis=-1) - SLACK
     return found

@@ -25,7 +25,7 @@ ROUNDING = 1e-6
 """Cells of at most this length count as zero: the rest is rounding error."""
 
 APART = 2
-"""Cells further apart than this, in rows or columns, count as showing different things."""
+"""Cells further apart than this, in rows or columns, count as showing different things; neighbours show the same."""
 
 
 def grid(field: Floats, rows: int, columns: int) -> Floats:
@@ -126,17 +126,13 @@ def halve(cells: Int8s | Floats) -> Floats:
     return unit(down[..., 0::2, :] + down[..., 1::2, :], ROUNDING)
 
 
-def burstiness_weight(
-    cells: Int8s | Floats, apart: int = APART, product: Product = float_product, length: float = 1.0
-) -> Floats:
+def burstiness_weight(cells: Int8s | Floats, product: Product = float_product, length: float = 1.0) -> Floats:
     """Burstiness weight: how unlike the rest of its own image each cell is.
 
     Parameters
     ----------
     cells : int8 or float32 of shape (rows, columns, dimensions)
         Of unit length, or as `quantise` stores them.
-    apart : int
-        Cells up to this many rows and columns away are left out: neighbours show the same thing.
     product : Product
     length : float
         Length of the vectors, less than 1 where they are slices of joined cells.
@@ -144,7 +140,7 @@ def burstiness_weight(
     Returns
     -------
     float32 of shape (rows * columns,)
-        1 minus the largest cosine with a cell further away, 0..1; 1 where there is no such cell.
+        1 minus the largest cosine with a cell further away than `APART`, 0..1; 1 where there is no such cell.
 
     Notes
     -----
@@ -154,7 +150,7 @@ def burstiness_weight(
     rows, columns = cells.shape[:2]
     flat = cells.reshape(rows * columns, cells.shape[2])
     products = product(flat, flat)
-    products *= _far(rows, columns, apart)
+    products *= _far(rows, columns)
     # The matrix is symmetric; the maximum along columns is quicker.
     closest = products.max(axis=0).astype(np.float32) * np.float32((scale(cells) / length) ** 2)
     unlike: Floats = 1 - np.clip(closest, 0, 1)
@@ -283,11 +279,11 @@ def _coverage(pixels: int, cells: int) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _far(rows: int, columns: int, apart: int) -> Int8s:
-    """1 where cells lie more than `apart` rows or columns from one another, 0 elsewhere, int8 (cells, cells)."""
+def _far(rows: int, columns: int) -> Int8s:
+    """1 where cells lie more than `APART` rows or columns from one another, 0 elsewhere, int8 (cells, cells)."""
     row, column = np.divmod(np.arange(rows * columns), columns)
     distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
-    far: Int8s = (distance > apart).astype(np.int8)
+    far: Int8s = (distance > APART).astype(np.int8)
     return far
 
 

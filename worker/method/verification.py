@@ -18,7 +18,7 @@ from schemas.errors import DescriptorMismatch
 Pairs = npt.NDArray[np.intp]
 
 RATIO = 0.8
-"""Largest ratio of the distances to the best and to the second-best descriptor (Lowe 2004)."""
+"""Largest ratio of the Euclidean distances, at unit length, to the best and the second-best descriptor (Lowe 2004)."""
 
 TOLERANCE = 8 / 480
 """Largest distance of an inlier from its transformed position, as a fraction of the longer side."""
@@ -71,16 +71,14 @@ class Verified:
     pairs: Floats
 
 
-def match(query: Int8s | Floats, views: Sequence[Int8s | Floats], ratio: float = RATIO) -> list[Pairs]:
-    """Mutually nearest descriptors that pass the ratio test, for each view.
+def match(query: Int8s | Floats, views: Sequence[Int8s | Floats]) -> list[Pairs]:
+    """Mutually nearest descriptors that pass the ratio test (`RATIO`), for each view.
 
     Parameters
     ----------
     query : int8 or float32 of shape (n, channels)
         Of nearly equal length, none zero.
     views : sequence of int8 or float32 of shape (m, channels)
-    ratio : float
-        Largest ratio of nearest to second-nearest Euclidean distance at unit length, 0..1.
 
     Returns
     -------
@@ -106,20 +104,18 @@ def match(query: Int8s | Floats, views: Sequence[Int8s | Floats], ratio: float =
     cosines *= 1 / np.maximum(np.linalg.norm(theirs, axis=1), SHORTEST)
     highest = cosines.max(axis=0)
     return [
-        _mutual(cosines[:, end - len(view) : end], highest[end - len(view) : end], ratio)
+        _mutual(cosines[:, end - len(view) : end], highest[end - len(view) : end])
         for view, end in zip(views, ends, strict=True)
     ]
 
 
-def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> tuple[Doubles | None, Booleans]:
+def consensus(source: Floats, target: Floats) -> tuple[Doubles | None, Booleans]:
     """The transform that most of the matched positions follow.
 
     Parameters
     ----------
     source, target : float32 of shape (matches, 2)
         Positions of matched keypoints, the strongest match first, in fractions of the longer side.
-    tolerance : float
-        In fractions of the longer side.
 
     Returns
     -------
@@ -131,7 +127,7 @@ def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> t
     nobody = np.zeros(len(source), np.bool_)
     if len(source) < LEAST:
         return None, nobody
-    followers = _best_similarity(source, target, tolerance)
+    followers = _best_similarity(source, target)
     # Columns x, y, 1 of the source and x, y of the target.
     matched = np.ones((len(source), 5))
     matched[:, :2], matched[:, 3:] = source, target
@@ -139,7 +135,7 @@ def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> t
         if np.count_nonzero(followers) < LEAST:
             return None, nobody
         transform = _affine(matched[followers])
-        followers = _follow(transform, matched) < tolerance
+        followers = _follow(transform, matched) < TOLERANCE
     if np.count_nonzero(followers) < LEAST or not _plausible(transform):
         return None, nobody
     return transform, followers
@@ -194,7 +190,7 @@ def gated_bonus(inliers: npt.ArrayLike, among: npt.ArrayLike | None = None) -> F
     return bonus
 
 
-def _mutual(cosines: Floats, highest: Floats, ratio: float) -> Pairs:
+def _mutual(cosines: Floats, highest: Floats) -> Pairs:
     """Matches with one view, intp (matches, 2), from cosines (n, m), overwritten, and their column maxima (m,)."""
     if cosines.shape[1] == 0:
         return np.zeros((0, 2), np.intp)
@@ -204,7 +200,7 @@ def _mutual(cosines: Floats, highest: Floats, ratio: float) -> Pairs:
     cosines[rows, best] = -1
     second = cosines.max(axis=1)
     # |a - b|^2 = 2 - 2 cos for unit vectors.
-    kept = np.flatnonzero((strength == highest[best]) & (1 - strength < ratio**2 * (1 - second)))
+    kept = np.flatnonzero((strength == highest[best]) & (1 - strength < RATIO**2 * (1 - second)))
     # Among equal rows with one best counterpart the first keeps it.
     kept = kept[np.unique(best[kept], return_index=True)[1]]
     kept = kept[np.lexsort((kept, -strength[kept]))]
@@ -218,14 +214,14 @@ def _couples(count: int) -> tuple[Pairs, Pairs]:
     return first, second
 
 
-def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Booleans:
+def _best_similarity(source: Floats, target: Floats) -> Booleans:
     """Inliers of the proposed similarity with most inliers, bool (matches,); ties go to the first proposed."""
     # As complex numbers a similarity is w = a z + b, and two points fix it.
     z = source[:, 0].astype(np.complex64) + 1j * source[:, 1]
     w = target[:, 0].astype(np.complex64) + 1j * target[:, 1]
     first, second = _couples(min(len(z), PROPOSERS))
     apart = z[second] - z[first]
-    far = np.abs(apart) > 2 * tolerance
+    far = np.abs(apart) > 2 * TOLERANCE
     first, second, apart = first[far], second[far], apart[far]
     a = (w[second] - w[first]) / apart
     upright = (np.abs(np.angle(a)) < LARGEST_TURN) & (np.abs(np.log(np.abs(a) + 1e-9)) < np.log(LARGEST_ZOOM))
@@ -240,7 +236,7 @@ def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Boolea
     across *= across
     down *= down
     across += down
-    follows = across < (1.5 * tolerance) ** 2
+    follows = across < (1.5 * TOLERANCE) ** 2
     return np.asarray(follows[np.count_nonzero(follows, axis=1).argmax()], np.bool_)
 
 
