@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.ageing import MOST_DAYS
-
-Scores = NDArray[np.float64]
+from schemas.description import Doubles
 
 FEWEST_DAYS = 7
 """Days at each end below which nothing is told."""
@@ -40,8 +38,8 @@ class Trend:
         The first of the old days, the first of the new ones, the last of these, by number.
     """
 
-    old: Scores
-    new: Scores
+    old: Doubles
+    new: Doubles
     since: int
     recent: int
     until: int

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Booleans, Description, Floats, Int8s, LocalFeatures
+from schemas.description import Booleans, Description, Floats, Indices, Int8s, LocalFeatures
 from worker.method.byte_vectors import quantise
 from worker.method.dense_cells import halve
 from worker.method.unit_length import unit
@@ -204,9 +203,7 @@ def _same(one: LocalFeatures, other: LocalFeatures) -> Booleans:
     return same
 
 
-def _cells_at(
-    positions: Floats, extent: tuple[float, float], shape: tuple[int, ...]
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _cells_at(positions: Floats, extent: tuple[float, float], shape: tuple[int, ...]) -> tuple[Indices, Indices]:
     """Row and column of the cell at each position, in fractions of the image's longer side."""
     rows, columns = shape
     row = np.clip((positions[:, 1] / extent[1] * rows).astype(np.intp), 0, rows - 1)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import DETAIL, Doubles, Indices, Int8s
+from schemas.description import DETAIL, Booleans, Doubles, Indices, Int8s
 from worker.method import hough
 from worker.method.cell_regions import bounding_box, smoothed
 from worker.method.channel_fusion import length, slice_channel
@@ -157,7 +157,7 @@ def contrast(first: CellEvidence, rival: CellEvidence, extent: tuple[float, floa
     difference = first.of_query() - rival.of_query()
     smooth = smoothed(difference, "constant")
     least = LEAST_DIFFERENCE * float(np.abs(smooth).max(initial=0))
-    found: list[tuple[float, npt.NDArray[np.bool_]]] = []
+    found: list[tuple[float, Booleans]] = []
     for sign in (1, -1):
         parts = components((sign * smooth >= max(least, 1e-12)) & (sign * difference > 0))
         for number in range(1, int(parts.max(initial=0)) + 1):

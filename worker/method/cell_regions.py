@@ -3,9 +3,8 @@
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Booleans
+from schemas.description import Booleans, Doubles
 
 Point = tuple[float, float]
 
@@ -34,14 +33,12 @@ def bounding_box(cells: Booleans, extent: Point) -> tuple[Point, Point]:
     return ((left + right) / 2, (top + bottom) / 2), (right - left, bottom - top)
 
 
-def smoothed(values: npt.NDArray[np.float64], beyond: Literal["constant", "edge"]) -> npt.NDArray[np.float64]:
+def smoothed(values: Doubles, beyond: Literal["constant", "edge"]) -> Doubles:
     """Means over 3 x 3 cells, float64 (rows, columns) as `values`.
 
     Beyond the border the values are 0 (``beyond="constant"``) or those of the nearest cell (``"edge"``).
     """
     rows, columns = values.shape
     padded = np.pad(values, 1, mode=beyond)
-    total: npt.NDArray[np.float64] = np.sum(
-        [padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0
-    )
+    total: Doubles = np.sum([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
     return total / 9

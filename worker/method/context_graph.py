@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Booleans, ContextGraph, Floats
+from schemas.description import Booleans, ContextGraph, Floats, Indices
 from worker.method.labels import LabelMap
 from worker.method.unit_length import unit
 
@@ -76,7 +76,7 @@ def build(
     )
 
 
-def _first_of_each(numbers: npt.NDArray[np.int64], order: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
+def _first_of_each(numbers: npt.NDArray[np.int64], order: Indices, count: int) -> Indices:
     """For each group number 0..count-1, the first entry of `order` that belongs to it."""
     starts = np.searchsorted(numbers[order], np.arange(count))
     return order[starts]
@@ -103,7 +103,7 @@ class GraphComparison:
     """
 
     similarity: Floats
-    matched: npt.NDArray[np.intp]
+    matched: Indices
     cosines: Floats
     edges_agreeing: npt.NDArray[np.int64]
 
@@ -196,9 +196,7 @@ def _similarities(query: ContextGraph, candidates: Sequence[ContextGraph], most:
     return similarity, positions
 
 
-def _edges(
-    query: ContextGraph, positions: Floats, matched: npt.NDArray[np.intp], tau: float
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def _edges(query: ContextGraph, positions: Floats, matched: Indices, tau: float) -> tuple[Indices, Indices]:
     """How many edges between matched nodes both graphs have, and how many either has.
 
     Parameters

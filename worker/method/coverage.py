@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-Points = npt.NDArray[np.float64]
+from schemas.description import Doubles
 
 QUARTERS = {"north": 0.0, "east": 90.0, "south": 180.0, "west": 270.0}
 """Directions in which a place should have been photographed, degrees clockwise from north or +y."""
@@ -20,7 +19,7 @@ LONG = 3.0
 """A gap is longer than this many times the median step."""
 
 
-def spots(points: Points, within: float) -> list[list[int]]:
+def spots(points: Doubles, within: float) -> list[list[int]]:
     """Points by spot: each point that none holds yet founds one, and takes all later points near it.
 
     Parameters
@@ -64,7 +63,7 @@ def missing_directions(headings: Sequence[float]) -> list[str]:
     return [name for name, least in away.items() if least > REACH_DEG]
 
 
-def gaps(points: Points, least: float) -> list[tuple[int, int, float]]:
+def gaps(points: Doubles, least: float) -> list[tuple[int, int, float]]:
     """Where points are further apart than is usual among them.
 
     Parameters
@@ -92,7 +91,7 @@ def gaps(points: Points, least: float) -> list[tuple[int, int, float]]:
     return sorted(long, key=lambda edge: (-edge[2], edge[:2]))
 
 
-def _spanning_tree(points: Points) -> list[tuple[int, int, float]]:
+def _spanning_tree(points: Doubles) -> list[tuple[int, int, float]]:
     count, axes = len(points), np.ascontiguousarray(points.T)
     nearest = np.full(count, np.inf)  # squared distance to the tree; infinite for its own points
     parent = np.zeros(count, np.int64)

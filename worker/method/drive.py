@@ -14,11 +14,9 @@ where it is, while a path moves on.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Doubles
-
-Integers = npt.NDArray[np.int64]
+from schemas.description import Booleans, Doubles
+from schemas.records import Sequence64
 
 KNOWN = 0.7
 """Probability that an image shows something of the map, before anything is known."""
@@ -94,8 +92,8 @@ class Drive:
     images : int
     """
 
-    seqs: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
-    order: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+    seqs: Sequence64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    order: Sequence64 = field(default_factory=lambda: np.zeros(0, np.int64))
     walked: Doubles = field(default_factory=lambda: np.zeros(0))
     alike: Doubles = field(default_factory=lambda: np.zeros(0))
     moves: Doubles = field(default_factory=supposed)
@@ -121,8 +119,8 @@ class Single:
         Views that could have been candidates.
     """
 
-    seqs: Integers
-    order: Integers
+    seqs: Sequence64
+    order: Sequence64
     probabilities: Doubles
     searched: int
 
@@ -132,7 +130,7 @@ class Single:
         return max(1 - float(self.probabilities.sum()), 1e-6)
 
 
-def spread(scores: Doubles, first: npt.NDArray[np.bool_], sure: float, gap: float) -> Doubles:
+def spread(scores: Doubles, first: Booleans, sure: float, gap: float) -> Doubles:
     """Share the tempered probability of an image's first place among its views, and some of the rest among the others.
 
     Parameters
@@ -241,7 +239,7 @@ def shortened(drive: Drive) -> Drive:
     )
 
 
-def predict(drive: Drive, order: Integers, count: int) -> tuple[Doubles, float, float]:
+def predict(drive: Drive, order: Sequence64, count: int) -> tuple[Doubles, float, float]:
     """Where a walk is when its next image is taken, before that is looked at.
 
     Parameters
@@ -266,14 +264,14 @@ def predict(drive: Drive, order: Integers, count: int) -> tuple[Doubles, float, 
     return arrived, stays - float(arrived.sum()), 1 - stays
 
 
-def kernel(moves: Doubles, steps: Integers) -> Doubles:
+def kernel(moves: Doubles, steps: Sequence64) -> Doubles:
     """Probability of a move by so many views, float64 like `steps`; 0 beyond FARTHEST."""
     within = np.abs(steps) <= FARTHEST
     shares = np.append(moves / moves.sum(), 0.0)
     return np.asarray(shares[np.where(within, steps + FARTHEST, len(moves))])
 
 
-def learnt(drive: Drive, order: Integers, weight: Doubles) -> Doubles:
+def learnt(drive: Drive, order: Sequence64, weight: Doubles) -> Doubles:
     """How often a robot moved on by how much, one image later.
 
     Parameters

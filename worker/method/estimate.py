@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-import numpy.typing as npt
 
+from schemas.description import Doubles
 from schemas.globe import EARTH_RADIUS_M
 from schemas.records import Position
 from worker.method.positions import distance, is_known, metres
@@ -81,7 +81,7 @@ def locate(positions: Sequence[Position], weights: Sequence[float], around: Sequ
     return Fix(_place(mean, height, positions[0]), radius if radius > SAME_POINT_M else None, tuple(chosen))
 
 
-def _sharing(points: npt.NDArray[np.float64], share: npt.NDArray[np.float64]) -> float:
+def _sharing(points: Doubles, share: Doubles) -> float:
     """Effective number of points that share the weight: the inverse of the sum of squared weights (Kish, 1965).
 
     1 where one point has all of it, and the number of points where all have the same.
@@ -90,7 +90,7 @@ def _sharing(points: npt.NDArray[np.float64], share: npt.NDArray[np.float64]) ->
     return float(1 / (share @ together @ share))
 
 
-def _place(offset: npt.NDArray[np.float64], height: float | None, origin: Position) -> Position:
+def _place(offset: Doubles, height: float | None, origin: Position) -> Position:
     if origin.lat is None or origin.lon is None:
         return Position(x=(origin.x or 0.0) + float(offset[0]), y=(origin.y or 0.0) + float(offset[1]), z=height)
     lat = origin.lat + float(np.degrees(offset[1] / EARTH_RADIUS_M))

@@ -4,9 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Appearance, ContextGraph, Doubles, Floats
+from schemas.description import Appearance, Booleans, ContextGraph, Doubles, Floats, Indices
 from schemas.recipe import RankingConfig
 from schemas.records import Candidates, Sequence64
 from worker.method import score_fusion
@@ -14,7 +13,6 @@ from worker.method.breadth import breadth
 from worker.method.context_graph import GraphComparison
 from worker.method.impostors import ImpostorEvidence
 from worker.method.places import Places
-from worker.method.score_fusion import Rows
 from worker.method.verification import Verified
 
 RIVALS = 3
@@ -149,8 +147,8 @@ class Ranking:
     order: Sequence64
     scores: Floats
     terms: Mapping[str, Floats]
-    inliers: Rows
-    matches: Rows
+    inliers: Indices
+    matches: Indices
     ranks: Mapping[str, Sequence64]
     reranked: int
     places: Places
@@ -241,10 +239,10 @@ class Evidence:
     config: RankingConfig
     places: Places
     terms: dict[str, Floats]
-    rows: Rows
+    rows: Indices
     appearances: list[Appearance] = field(default_factory=list)
     cell_aspect: Doubles = field(default_factory=lambda: np.ones((0, 2)))
-    shifts: npt.NDArray[np.intp] | None = None
+    shifts: Indices | None = None
     align_scale: float = 0.0
     burstiness: dict[str, Floats] = field(default_factory=dict)
     scales: dict[int, float] = field(default_factory=dict)
@@ -256,17 +254,17 @@ class Evidence:
     def __post_init__(self) -> None:
         self.index = {int(row): index for index, row in enumerate(self.rows)}
 
-    def put(self, term: str, rows: Rows, values: Floats) -> None:
+    def put(self, term: str, rows: Indices, values: Floats) -> None:
         """Set a term of some candidates; it is 0 for the others."""
         whole = np.zeros(len(self.candidates.seqs), np.float32)
         whole[rows] = values
         self.terms[term] = whole
 
-    def seqs(self, rows: Rows) -> list[int]:
+    def seqs(self, rows: Indices) -> list[int]:
         """Sequence numbers of some candidates."""
         return [int(seq) for seq in self.candidates.seqs[rows]]
 
-    def best(self, count: int) -> Rows:
+    def best(self, count: int) -> Indices:
         """At most `count` of the re-ranked candidates, best first by the evidence so far.
 
         `RIVALS` of them show another place than the first, as far as there are so many: where the first `count` have
@@ -280,15 +278,15 @@ class Evidence:
         own = np.flatnonzero(~rival[:count])[1:]
         kept = np.setdiff1d(np.arange(count), own[max(len(own) - missing, 0) :])
         added = count + np.flatnonzero(rival[count:])[: count - len(kept)]
-        chosen: Rows = order[np.concatenate([kept, added])]
+        chosen: Indices = order[np.concatenate([kept, added])]
         return chosen
 
-    def in_order(self) -> Rows:
+    def in_order(self) -> Indices:
         """The re-ranked candidates, best first by the evidence so far."""
         score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
         return score_fusion.order(score, self.distance, self.rows)[: len(self.rows)]
 
-    def counted_once(self, rows: Rows, *leaders: int) -> Rows:
+    def counted_once(self, rows: Indices, *leaders: int) -> Indices:
         """Some re-ranked candidates, in their order, with no more than one view of the place of each leader.
 
         `leaders` are rows too; of those that share a place with one of them the first in `rows` stays.
@@ -300,7 +298,7 @@ class Evidence:
                 rows = np.delete(rows, own[1:])
         return rows
 
-    def _apart_from_first(self, order: Rows) -> npt.NDArray[np.bool_]:
+    def _apart_from_first(self, order: Indices) -> Booleans:
         """Which rows show another place than the first of them."""
         first, *_ = seqs = self.seqs(order)
         return np.array([self.places.apart(first, seq) for seq in seqs], np.bool_)

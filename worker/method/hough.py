@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Doubles, Floats, Indices
+from schemas.description import Booleans, Doubles, Floats, Indices
 
 Int32s = npt.NDArray[np.int32]
 Along = tuple[Doubles, Doubles]
@@ -239,10 +239,10 @@ class _Slots:
     columns: int
     of: Int32s
 
-    def near(self, slots: Int32s, peaks: Indices) -> npt.NDArray[np.bool_]:
+    def near(self, slots: Int32s, peaks: Indices) -> Booleans:
         """Whether each bin lies within `TOLERANCE` of its peak; windows around peaks never reach the last row."""
         down, across = (a - b for a, b in zip(divmod(slots, self.columns), divmod(peaks, self.columns), strict=True))
-        close: npt.NDArray[np.bool_] = (np.abs(down) <= TOLERANCE) & (np.abs(across) <= TOLERANCE)
+        close: Booleans = (np.abs(down) <= TOLERANCE) & (np.abs(across) <= TOLERANCE)
         return close
 
 

@@ -1,7 +1,6 @@
 """Near-duplicates: views whose descriptions hardly differ, so that all but one add nothing to their map."""
 
 import numpy as np
-import numpy.typing as npt
 
 from schemas.description import Floats, Int8s
 from worker.method.camera_fixed import CameraFixed
@@ -56,5 +55,5 @@ def similarity(one: Int8s, other: Int8s, fixed: CameraFixed | None = None) -> fl
     a, b = (cells.reshape(-1, cells.shape[-1]).astype(np.float32) for cells in (one, other))
     lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     static = lengths > 0
-    cosines: npt.NDArray[np.float32] = (a * b).sum(axis=1)[static] / lengths[static]
+    cosines: Floats = (a * b).sum(axis=1)[static] / lengths[static]
     return float(cosines.mean()) if len(cosines) else 0.0

@@ -3,12 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Floats
+from schemas.description import Floats, Indices
 from schemas.recipe import Channel, RankingConfig
-
-Rows = npt.NDArray[np.intp]
 
 
 def histogram_similarity(distances: Floats, channel: Channel) -> Floats:
@@ -55,7 +52,7 @@ def weigh(terms: Mapping[str, Floats], weights: Mapping[str, float]) -> tuple[Fl
     return np.minimum(sum(parts.values(), start=nothing), 1), parts
 
 
-def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) -> tuple[Floats, dict[str, Floats]]:
+def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Indices) -> tuple[Floats, dict[str, Floats]]:
     """Score of every candidate, and its weighted terms.
 
     With ``mode="graph"`` (the paper) the graph similarity is the score, and the histogram only breaks ties; with
@@ -90,7 +87,7 @@ def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) ->
     return total, parts
 
 
-def order(total: Floats, distance: Floats, reranked: Rows) -> Rows:
+def order(total: Floats, distance: Floats, reranked: Indices) -> Indices:
     """Best first: re-ranked candidates by score, then histogram distance, then enrolment; the others follow.
 
     Parameters
@@ -105,5 +102,5 @@ def order(total: Floats, distance: Floats, reranked: Rows) -> Rows:
     """
     behind = np.ones(len(total), np.bool_)
     behind[reranked] = False
-    rows: Rows = np.lexsort((np.arange(len(total)), distance, -total, behind))
+    rows: Indices = np.lexsort((np.arange(len(total)), distance, -total, behind))
     return rows

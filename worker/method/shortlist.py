@@ -11,12 +11,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Booleans, Floats, Int8s
+from schemas.description import Booleans, Doubles, Floats, Indices, Int8s
 from schemas.records import Candidates
 from worker.method import dense_cells
 from worker.method.byte_vectors import Product, float_product, quantise, scale
-
-Rows = npt.NDArray[np.intp]
 
 UNRELATED = float(np.sqrt(2))
 """Distance of two unit vectors that have nothing in common."""
@@ -98,7 +96,7 @@ def rough_similarity(query: Int8s, candidates: Sequence[Int8s], product: Product
     return similarity
 
 
-def shortlist(distances: Mapping[str, Floats], similarity: Floats, kept: Booleans, count: int) -> Rows:
+def shortlist(distances: Mapping[str, Floats], similarity: Floats, kept: Booleans, count: int) -> Indices:
     """Those that go on.
 
     Parameters
@@ -127,9 +125,9 @@ def shortlist(distances: Mapping[str, Floats], similarity: Floats, kept: Boolean
     return np.sort(order[: max(count, int(kept.sum()))])
 
 
-def _standard(values: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+def _standard(values: npt.NDArray[np.floating]) -> Doubles:
     """Standard scores; 0 where all values are equal."""
     centred = values - values.mean(dtype=np.float64)
     deviation = float(values.std(dtype=np.float64))
-    scores: npt.NDArray[np.float64] = centred / deviation if deviation > 0 else np.zeros(len(values))
+    scores: Doubles = centred / deviation if deviation > 0 else np.zeros(len(values))
     return scores

@@ -12,10 +12,8 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Booleans, Doubles, Floats, Int8s, LocalFeatures
+from schemas.description import Booleans, Doubles, Floats, Indices, Int8s, LocalFeatures
 from schemas.errors import DescriptorMismatch
-
-Pairs = npt.NDArray[np.intp]
 
 RATIO = 0.8
 """Largest ratio of the Euclidean distances, at unit length, to the best and the second-best descriptor (Lowe 2004)."""
@@ -71,7 +69,7 @@ class Verified:
     pairs: Floats
 
 
-def match(query: Int8s | Floats, views: Sequence[Int8s | Floats]) -> list[Pairs]:
+def match(query: Int8s | Floats, views: Sequence[Int8s | Floats]) -> list[Indices]:
     """Mutually nearest descriptors that pass the ratio test (`RATIO`), for each view.
 
     Parameters
@@ -190,7 +188,7 @@ def gated_bonus(inliers: npt.ArrayLike, among: npt.ArrayLike | None = None) -> F
     return bonus
 
 
-def _mutual(cosines: Floats, highest: Floats) -> Pairs:
+def _mutual(cosines: Floats, highest: Floats) -> Indices:
     """Matches with one view, intp (matches, 2), from cosines (n, m), overwritten, and their column maxima (m,)."""
     if cosines.shape[1] == 0:
         return np.zeros((0, 2), np.intp)
@@ -208,7 +206,7 @@ def _mutual(cosines: Floats, highest: Floats) -> Pairs:
 
 
 @lru_cache(maxsize=PROPOSERS + 1)
-def _couples(count: int) -> tuple[Pairs, Pairs]:
+def _couples(count: int) -> tuple[Indices, Indices]:
     """All pairs of different numbers below `count`, the smaller first."""
     first, second = np.triu_indices(count, k=1)
     return first, second

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import Floats, Int8s
+from schemas.description import Floats, Indices, Int8s
 from schemas.errors import DescriptorMismatch
 from schemas.recipe import Channel
 from worker.method.byte_vectors import Product, float_product, quantise, scale
@@ -169,7 +168,7 @@ def train_words(
     if len(np.unique(descriptors @ random.standard_normal(descriptors.shape[1]))) < count:
         raise ValueError(f"{len(descriptors)} descriptors, with duplicates, cannot give {count} distinct words")
     words = _spread(descriptors, count, random)
-    previous: npt.NDArray[np.intp] | None = None
+    previous: Indices | None = None
     for _ in range(iterations):
         nearest, distance = _assign(descriptors, words)
         if previous is not None and np.array_equal(nearest, previous):
@@ -201,7 +200,7 @@ def _spread(descriptors: Floats, count: int, random: np.random.Generator) -> Flo
     return descriptors[chosen].copy()
 
 
-def _assign(descriptors: Floats, words: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
+def _assign(descriptors: Floats, words: Floats) -> tuple[Indices, Floats]:
     """Nearest word of each descriptor, and the squared distance to it."""
     nearest = np.empty(len(descriptors), np.intp)
     distance = np.empty(len(descriptors), np.float32)

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import faiss
 import numpy as np
-import numpy.typing as npt
 
 from schemas.description import Floats
 from schemas.draw import draw_order
@@ -113,7 +112,7 @@ class FlatIndex:
 
     def _nearest(
         self, channel: str, vector: Floats, wanted: int, available: int, selector: "faiss.IDSelector | None"
-    ) -> npt.NDArray[np.int64]:
+    ) -> Sequence64:
         """Rows of the nearest vectors, nearest first, ties by enrolment order."""
         if wanted == 0:
             return np.zeros(0, np.int64)
@@ -121,17 +120,17 @@ class FlatIndex:
         # At most `available`: FAISS pads with -1 beyond.
         squared, rows = self._channels[channel].search(vector[None], min(wanted + SPARE, available), params=parameters)
         distances = np.round(np.sqrt(np.maximum(squared[0], 0)), DECIMALS)
-        nearest: npt.NDArray[np.int64] = rows[0][np.lexsort((rows[0], distances))[:wanted]]
+        nearest: Sequence64 = rows[0][np.lexsort((rows[0], distances))[:wanted]]
         return nearest
 
-    def _distances(self, channel: str, vector: Floats, rows: npt.NDArray[np.int64]) -> Floats:
+    def _distances(self, channel: str, vector: Floats, rows: Sequence64) -> Floats:
         size = self._dimensions[channel]
         index = self._channels[channel]
         stored = faiss.rev_swig_ptr(index.get_xb(), index.ntotal * size).reshape(-1, size)
         lengths: Floats = np.linalg.norm(stored[rows] - vector[None], axis=1).astype(np.float32)
         return lengths
 
-    def _allowed(self, selection: Selection) -> npt.NDArray[np.int64] | None:
+    def _allowed(self, selection: Selection) -> Sequence64 | None:
         """Rows of the selection, ascending; None for all rows."""
         if selection.only is None and len(selection.never) == 0:
             return None
@@ -142,7 +141,7 @@ class FlatIndex:
             keep &= ~np.isin(self._seqs, selection.never)
         return np.flatnonzero(keep)
 
-    def _selector(self, rows: npt.NDArray[np.int64]) -> "faiss.IDSelector":
+    def _selector(self, rows: Sequence64) -> "faiss.IDSelector":
         bits = np.zeros(len(self._seqs), np.bool_)
         bits[rows] = True
         return faiss.IDSelectorBitmap(np.packbits(bits, bitorder="little"))

@@ -7,6 +7,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from schemas.comparisons import KnownView
+from schemas.description import Doubles
 from schemas.globe import EARTH_RADIUS_M
 from schemas.records import Position
 from worker.method import coverage
@@ -60,7 +61,7 @@ def by_spot(views: Sequence[V], within: float) -> list[list[V]]:
     return [[views[i] for i in spot] for spot in coverage.spots(points_of(views), within)]
 
 
-def points_of(views: Sequence[V]) -> coverage.Points:
+def points_of(views: Sequence[V]) -> Doubles:
     """Positions in metres, float64: of shape (views, 2), from the first one; of degrees of shape (views, 3), from the
     centre of the earth: laid flat, what lies far from the first would come out too short or too long."""
     if views and views[0].known.position.lat is not None:
