@@ -52,7 +52,6 @@ def ranking(
         tuple(rivals),
         {i: np.array(weights, np.float32) for i, weights in (cells or {}).items()},
         (),
-        None,
         lambda index: pytest.fail("a decision needs no more evidence"),
         impostors,
     )

@@ -314,11 +314,11 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
     places = evidence.places.joined(dict(zip(behind, fetch.known(behind), strict=True)))
     among = range(1, len(evidence.rows) or len(seqs))
     rivals = [i for i in among if places.apart(seqs[0], seqs[i])]
-    others = ENOUGH_PLACES
-    if candidates.searched - (len(among) + 1 - len(rivals)) < ENOUGH_VIEWS:
+    few = candidates.searched - (len(among) + 1 - len(rivals)) < ENOUGH_VIEWS
+    if few:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
-        others = len(places.group([seqs[i] for i in rivals]))
-    elif len(rivals) < RIVALS:  # views of the first place fill the candidates, or hardly any are re-ranked
+    others = ENOUGH_PLACES
+    if few or len(rivals) < RIVALS:  # or views of the first place fill the candidates, or hardly any are re-ranked
         others = len(places.group([seqs[i] for i in rivals]))
     usual = _usual_dense(evidence)
 
@@ -339,7 +339,6 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         rivals=tuple(rivals),
         cells={i: evidence.cells[row] for i, row in enumerate(order.tolist()) if row in evidence.cells},
         first=tuple(map(candidate, range(min(top, len(seqs))))),
-        opposed=candidate(rivals[0]) if rivals else None,
         candidate=candidate,
     )
 
@@ -363,7 +362,7 @@ def _candidate(
 
 def _usual_dense(evidence: Evidence) -> tuple[float, float]:
     """Median and high quantile of the dense similarity over the re-ranked candidates; zeros where none was compared."""
-    if evidence.shifts is None or not len(evidence.rows):
+    if evidence.shifts is None:
         return 0.0, 0.0
     compared = evidence.terms["dense"][evidence.rows]
     median, high = np.quantile(compared, (0.5, channel_fusion.REFERENCE_QUANTILE)).tolist()

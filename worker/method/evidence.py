@@ -135,8 +135,6 @@ class Ranking:
         resolution.
     first : tuple of RankedCandidate
         The first `top`.
-    opposed : RankedCandidate or None
-        The rival.
     candidate : function
         Any of them, by index, with its evidence.
     impostors : ImpostorEvidence or None
@@ -156,7 +154,6 @@ class Ranking:
     rivals: tuple[int, ...]
     cells: Mapping[int, Floats]
     first: tuple[RankedCandidate, ...]
-    opposed: RankedCandidate | None
     candidate: Callable[[int], RankedCandidate]
     impostors: ImpostorEvidence | None = None
 

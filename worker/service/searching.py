@@ -221,7 +221,7 @@ class Searcher:
             impostors=self._describers.impostors(recipe),
             observe=watch.observe,
         )
-        shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
+        shown = [*ranked.first, *([] if ranked.rival is None else [ranked.candidate(ranked.rival)])]
         # By the recipe that was searched: the map may have changed over while candidates were compared.
         views = self._views.at(sorted({candidate.seq for candidate in shown}), recipe.id)
         described = {seq for seq, view in views.items() if view.description is not None}
@@ -232,7 +232,7 @@ class Searcher:
             views=tuple(scored[: len(ranked.first)]),
             query=query,
             ranking=ranked,
-            rival=None if ranked.opposed is None else scored[-1],
+            rival=None if ranked.rival is None else scored[-1],
             levels=pooled([self._levels.of(record) for record in records]),
             maps=tuple(
                 SearchedMap(
