@@ -65,8 +65,10 @@ class Places:
         framed = a.position.z is not None
         return a.map == b.map and not (named and framed and climb(a.position, b.position) >= STOREY_M)
 
-    def _is_above(self, one: int, other: int, gap: float) -> bool:
-        """Whether one of two views of one map, `gap` metres apart, is on a storey above the other."""
+    def _is_far(self, one: int, other: int, gap: float) -> bool:
+        """Whether two views of one map, `gap` metres apart, are no neighbours by that, or one is above the other."""
+        if gap > NEIGHBOURHOOD * self._within:
+            return True
         steep = gap <= STEEP * climb(self._known[one].position, self._known[other].position)
         return steep and not self.on_one_storey(one, other)
 
@@ -98,8 +100,7 @@ class Places:
         if a.map != b.map:  # positions of two maps lie in frames of their own
             return True
         gap = distance(a.position, b.position)
-        far = gap > NEIGHBOURHOOD * self._within or self._is_above(one, other, gap)
-        return far and not self._is_same(one, other, gap)
+        return self._is_far(one, other, gap) and not self._is_same(one, other, gap)
 
     def told_apart(self, one: int, other: int) -> bool:
         """Whether the user says of two views that they are of different places: by their positions, else by names; by
@@ -107,8 +108,7 @@ class Places:
         a, b = self._known[one], self._known[other]
         gap = distance(a.position, b.position)
         named = a.name is not None and b.name is not None
-        far = gap > NEIGHBOURHOOD * self._within or self._is_above(one, other, gap)
-        return not self.same(one, other) and (far if gap < inf else named)
+        return not self.same(one, other) and (self._is_far(one, other, gap) if gap < inf else named)
 
     def group(self, ranked: Sequence[int]) -> list[list[int]]:
         """Views by place: each place is that of its best view, and takes all later views that share it.

@@ -13,7 +13,7 @@ def is_known(position: Position) -> bool:
 
 def distance(one: Position, other: Position) -> float:
     """Metres between two positions, with the height where both have one; infinite when they cannot be compared."""
-    if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
+    if not _comparable(one, other):
         return inf
     east, north, _ = metres(other, one)
     return hypot(east, north, climb(one, other))
@@ -21,10 +21,15 @@ def distance(one: Position, other: Position) -> float:
 
 def climb(one: Position, other: Position) -> float:
     """Metres by which the heights of two positions differ, at least 0; 0 when they cannot be compared."""
-    if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
+    if not _comparable(one, other):
         return 0.0
     below, above = (one.z, other.z) if one.lat is None else (one.alt, other.alt)
     return 0.0 if below is None or above is None else abs(above - below)
+
+
+def _comparable(one: Position, other: Position) -> bool:
+    """Whether both have coordinates, and in one frame."""
+    return is_known(one) and is_known(other) and (one.lat is None) == (other.lat is None)
 
 
 def metres(position: Position, origin: Position) -> tuple[float, float, float]:
