@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Literal
+from typing import Literal, get_args
 
 from schemas.ageing import ScoreFall
 from schemas.comparisons import Comparison, KnownView
@@ -10,15 +10,7 @@ from schemas.records import Position
 
 Code = Literal["twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"]
 
-CODES: tuple[Code, ...] = (
-    "twins",
-    "ageing",
-    "never-matched",
-    "duplicates",
-    "missing-directions",
-    "single-view",
-    "gap",
-)
+CODES: tuple[Code, ...] = get_args(Code)
 """Kinds of findings, those that make answers wrong first."""
 
 

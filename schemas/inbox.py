@@ -7,6 +7,9 @@ from datetime import datetime
 from schemas.description import Description, Floats, LocalFeatures
 from schemas.recipe import DescriptionRecipe
 
+MOST_KEPT = 10_000
+"""Queries of a kind that a map keeps at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class QueryToKeep:

@@ -5,22 +5,27 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from schemas.blur import MOST_WORDS
+from schemas.inbox import MOST_KEPT
 from schemas.shadow import MOST_QUERIES
 from schemas.wire_views import Position
 
+Label = Annotated[str, Field(min_length=1, max_length=100)]
 
-class PutMap(BaseModel):
+
+class Body(BaseModel):
+    """Base of all bodies: undeclared fields are errors, and so are numbers that are none."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class PutMap(Body):
     """Recipe of a map; fields left out take the service's defaults.
 
     Errors name the labels, presets or parameters that exist.
     """
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    labels: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, min_length=1, max_length=255, description="Label set, in order."
-    )
-    dynamic: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
+    labels: list[Label] | None = Field(None, min_length=1, max_length=255, description="Label set, in order.")
+    dynamic: list[Label] | None = Field(
         None, max_length=255, description="Labels of things that move; their cells are left out of descriptions."
     )
     preset: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
@@ -50,20 +55,18 @@ class PostRecipe(PutMap):
     )
 
 
-class PatchMap(BaseModel):
+class PatchMap(Body):
     """Changes of a map that take effect at once: its ranking, what is kept, which images are refused."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     ranking: dict[str, Any] | None = Field(
         None, description="Ranking parameters to change; the others stay.", examples=[{"candidates": 100}]
     )
-    keep_queries: Annotated[int, Field(ge=0, le=10_000)] | None = Field(
+    keep_queries: Annotated[int, Field(ge=0, le=MOST_KEPT)] | None = Field(
         None,
         description="How many queries that matched nothing are kept at most, with a small image of each, for "
         "`GET /maps/{map}/unknown`; the oldest are dropped. 0 deletes those that are kept.",
     )
-    keep_matches: Annotated[int, Field(ge=0, le=10_000)] | None = Field(
+    keep_matches: Annotated[int, Field(ge=0, le=MOST_KEPT)] | None = Field(
         None,
         description="How many queries are kept at most that matched a view although they look unlike it, with a small "
         "image of each, for `GET /maps/{map}/proposals`; the oldest are dropped. 0 deletes those that are kept.",
@@ -78,13 +81,11 @@ class PatchMap(BaseModel):
         description="false removes all images of described views, for good, and each later one once it is described. "
         "The views are found as before; they are shown without an image and cannot be described by another recipe.",
     )
-    blur: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=MOST_WORDS)] | None = (
-        Field(
-            None,
-            description="What is covered in each image before it is stored, as far as the segmentation finds it: "
-            "`people`, `vehicles`, or labels; [] for nothing. Words can be added while the map has no views.",
-            examples=[["people", "vehicles"]],
-        )
+    blur: Annotated[list[Label], Field(max_length=MOST_WORDS)] | None = Field(
+        None,
+        description="What is covered in each image before it is stored, as far as the segmentation finds it: "
+        "`people`, `vehicles`, or labels; [] for nothing. Words can be added while the map has no views.",
+        examples=[["people", "vehicles"]],
     )
 
 
@@ -93,19 +94,15 @@ def _whole_turn(given: Any) -> Any:
     return {**given, "heading": 0} if isinstance(given, dict) and given.get("heading") == 360 else given
 
 
-class PostUnknown(BaseModel):
+class PostUnknown(Body):
     """The name of an unknown place, and where it is."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     place: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Your own name for the place.")
     position: Annotated[Position | None, BeforeValidator(_whole_turn)] = None
 
 
-class PostProposal(BaseModel):
+class PostProposal(Body):
     """How much of a proposal is taken."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     views: Annotated[int, Field(ge=1, le=10)] = Field(
         3, description="How many of its images become views at most, spread evenly over time."
@@ -113,15 +110,13 @@ class PostProposal(BaseModel):
     unconfirmed: bool = Field(False, description="Take queries too that no other one agrees with on the place.")
 
 
-class _Label(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
+class _Labelled(Body):
     block: Annotated[str, Field(min_length=1, max_length=200)] | None = Field(
         None, description="Queries of one block, such as a drive, are held out together; null: runs of the list."
     )
 
 
-class ObservedAnswer(_Label):
+class ObservedAnswer(_Labelled):
     """What an answer of the map was decided from, and whether its first place was right."""
 
     features: dict[str, Annotated[float, Field(ge=-100, le=100)]] = Field(
@@ -138,10 +133,8 @@ class ObservedAnswer(_Label):
         return self
 
 
-class LabelPosition(BaseModel):
+class LabelPosition(Body):
     """Where the right place is: metres in the map's frame, or degrees."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     x: float | None = None
     y: float | None = None
@@ -156,7 +149,7 @@ class LabelPosition(BaseModel):
         return self
 
 
-class LabelledView(_Label):
+class LabelledView(_Labelled):
     """An enrolled view, to query the map with while it is left out, and the right place: its name or its position."""
 
     view: Annotated[str, Field(min_length=1, max_length=100)] = Field(description="Id of a described view of the map.")
@@ -172,10 +165,8 @@ class LabelledView(_Label):
         return self
 
 
-class PostCalibration(BaseModel):
+class PostCalibration(Body):
     """Labelled queries of a map, in the order in which they were taken."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     observed: list[ObservedAnswer] = Field(
         default_factory=list, max_length=5000, description="Answers that the map gave to queries."

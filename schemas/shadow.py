@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from schemas.recipe import MapRecipe
 from schemas.records import JobRecord
@@ -142,11 +142,10 @@ class ShadowTable:
 
 def _side(answers: list[ShadowAnswer]) -> Mapping[str, Any]:
     """Counts and mean times of one recipe's answers."""
-    statuses: tuple[Verdict, ...] = ("matched", "ambiguous", "no_match", "refused")
     described = [one.describe_ms for one in answers if one.describe_ms is not None]
     searched = [one.search_ms for one in answers if one.status != "refused"]
     return {
-        **{status: sum(one.status == status for one in answers) for status in statuses},
+        **{status: sum(one.status == status for one in answers) for status in get_args(Verdict)},
         "right": sum(one.right is True for one in answers),
         "search_ms": _mean(searched),
         "describe_ms": _mean(described),

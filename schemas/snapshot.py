@@ -6,12 +6,12 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AwareDatetime, Base64Bytes, BaseModel, ConfigDict, Field
 
 from schemas.blur import MOST_WORDS
+from schemas.inbox import MOST_KEPT
 from schemas.recipe import DescriptionRecipe, RankingConfig
+from schemas.values import MAP_NAME
 
 FORMAT: Final = "revisit-snapshot"
 VERSION: Final = 2
-
-MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, le=2**62)]
@@ -51,8 +51,8 @@ class SnapshotFacts(Line):
     ranking: RankingConfig
     calibration: str | None
     keep_images: bool = True
-    keep_queries: Annotated[int, Field(ge=0, le=10_000)] = 0
-    keep_matches: Annotated[int, Field(ge=0, le=10_000)] = 0
+    keep_queries: Annotated[int, Field(ge=0, le=MOST_KEPT)] = 0
+    keep_matches: Annotated[int, Field(ge=0, le=MOST_KEPT)] = 0
     refuse_poor: bool = False
     blur: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=100)], ...], Field(max_length=MOST_WORDS)] = ()
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from schemas import values
 
@@ -36,7 +36,7 @@ Number = float | int
 
 Value = str | Number | bool | datetime
 Ordering = Literal["$gt", "$gte", "$lt", "$lte"]
-ORDERINGS: tuple[Ordering, ...] = ("$gt", "$gte", "$lt", "$lte")
+ORDERINGS: tuple[Ordering, ...] = get_args(Ordering)
 OPERATORS = ("$eq", "$ne", *ORDERINGS, "$in", "$nin", "$prefix", "$exists")
 
 

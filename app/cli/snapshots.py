@@ -159,7 +159,7 @@ def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
     from datetime import UTC, datetime
 
     from schemas.errors import SetupError
-    from schemas.snapshot import MAP_NAME
+    from schemas.values import MAP_NAME
 
     if arguments.name is not None and not re.fullmatch(MAP_NAME, arguments.name):
         wrong_use(f"--as {arguments.name!r} is no name of a map: letters, digits, . _ -, at most 64")
