@@ -2,6 +2,7 @@
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from typing import TypeVar
 
 K = TypeVar("K")
@@ -26,3 +27,12 @@ class Latest(OrderedDict[K, V]):
             self.move_to_end(key)
             while len(self) > self._most:
                 self.popitem(last=False)
+
+    def get_or_make(self, key: K, make: Callable[[], V]) -> V:
+        """The value of a key, which counts as set now; made if there is none, by two threads at once maybe."""
+        with self._setting:
+            if key in self:
+                self.move_to_end(key)
+                return self[key]
+        made = self[key] = make()
+        return made

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 
 import pytest
 
@@ -23,6 +24,14 @@ def test_what_was_set_longest_ago_goes_first() -> None:
     kept["gate"], kept["pond"], kept["gate"] = 1, 2, 3
     kept["hall"] = 4
     assert list(kept.items()) == [("gate", 3), ("hall", 4)]
+
+
+def test_a_value_is_made_once_and_counts_as_set_whenever_it_is_read() -> None:
+    kept = Latest[str, int](2)
+    numbers = count()
+    made = [kept.get_or_make(key, numbers.__next__) for key in ("gate", "pond", "gate", "hall")]
+    assert made == [0, 1, 0, 2]
+    assert list(kept.items()) == [("gate", 0), ("hall", 2)]
 
 
 @pytest.mark.usefixtures("in_turns")

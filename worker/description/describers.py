@@ -1,8 +1,6 @@
 """Describers by recipe: built once, shared by queries and enrolments."""
 
-import threading
-from collections.abc import Callable, Iterable
-from typing import TypeVar
+from collections.abc import Iterable
 
 from schemas.errors import NotFound, SetupError
 from schemas.latest import Latest
@@ -16,8 +14,6 @@ from worker.method.impostors import Impostors
 
 KEPT = 32
 """Describers kept; with more recipes in use the least recently used are built again, in milliseconds."""
-
-Made = TypeVar("Made")
 
 
 class Describers:
@@ -46,7 +42,6 @@ class Describers:
         self._general = {vocabulary.digest: vocabulary for vocabulary in general}
         self._made: Latest[str, Describer] = Latest(KEPT)
         self._impostors: Latest[str, Impostors | None] = Latest(KEPT)
-        self._lock = threading.Lock()
 
     def of(self, recipe: DescriptionRecipe) -> Describer:
         """The describer of a recipe.
@@ -56,22 +51,11 @@ class Describers:
         SetupError
             The recipe was made with another encoder or other weights, or its vocabulary is gone.
         """
-        return self._kept(self._made, recipe.id, lambda: self._describer(recipe))
+        return self._made.get_or_make(recipe.id, lambda: self._describer(recipe))
 
     def impostors(self, recipe: DescriptionRecipe) -> Impostors | None:
         """The impostors that queries of maps with a recipe are compared with; None where there are none."""
-        return self._kept(self._impostors, recipe.id, lambda: self._shipped_for(recipe))
-
-    def _kept(self, kept: Latest[str, Made], key: str, make: Callable[[], Made]) -> Made:
-        """The value kept under a key; made, and kept, where there is none."""
-        with self._lock:
-            if key in kept:
-                kept.move_to_end(key)
-                return kept[key]
-        made = make()
-        with self._lock:
-            kept[key] = made
-        return made
+        return self._impostors.get_or_make(recipe.id, lambda: self._shipped_for(recipe))
 
     def _describer(self, recipe: DescriptionRecipe) -> Describer:
         if (recipe.encoder, recipe.weights) != (self._encoder.name, self._encoder.digest):

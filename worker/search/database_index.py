@@ -132,10 +132,7 @@ class DatabaseCatalogue:
             return self._fixed.of(index.sample(), recipe)
         # With the number: a new map begins with the last revision that any map was given.
         key = index.map_id, index.recipe, index.revision
-        sample = self._samples.get(key)
-        if sample is None:
-            sample = self._samples[key] = index.sample()
-        return self._fixed.of(sample, recipe)
+        return self._fixed.of(self._samples.get_or_make(key, index.sample), recipe)
 
     def revisions(self) -> Mapping[str, int]:
         """The revision of each map that was searched."""

@@ -1,6 +1,5 @@
 """What is fixed to the cameras of maps, read from some of their views and kept while these stay the same."""
 
-import threading
 from collections.abc import Iterable
 
 import numpy as np
@@ -26,7 +25,6 @@ class FixedCells:
 
     def __init__(self, descriptions: DescriptionReader) -> None:
         self._descriptions = descriptions
-        self._lock = threading.Lock()
         self._kept: Latest[tuple[str, tuple[int, ...]], CameraFixed | None] = Latest(MOST_KEPT)
 
     def among(self, seqs: Iterable[int], recipe: DescriptionRecipe) -> CameraFixed | None:
@@ -38,16 +36,11 @@ class FixedCells:
         """What is fixed to the camera, by views described by a recipe; those that were deleted are left out."""
         if len(sample) < LEAST_VIEWS or recipe.parameters.dense is None:
             return None
-        key = recipe.id, sample
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
+        return self._kept.get_or_make((recipe.id, sample), lambda: self._found(sample, recipe))
+
+    def _found(self, sample: tuple[int, ...], recipe: DescriptionRecipe) -> CameraFixed | None:
         cells = self._descriptions.cells(sample, recipe.id)
         keypoints: dict[int, LocalFeatures] = {}
         if recipe.parameters.local_features is not None:
             keypoints = self._descriptions.local_features(sample, recipe.id)
-        found = camera_fixed(np.stack(list(cells.values())), list(keypoints.values())) if cells else None
-        with self._lock:
-            self._kept[key] = found
-        return found
+        return camera_fixed(np.stack(list(cells.values())), list(keypoints.values())) if cells else None
