@@ -21,7 +21,13 @@ from worker.configure import configure_torch
 from worker.description.scheduler import Scheduler
 from worker.encoders.choosing import make_encoder
 from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
-from worker.encoders.compact.ensemble import ENSEMBLE, CompactSegmenter, label_confidence, segment_with_ensemble
+from worker.encoders.compact.ensemble import (
+    ENSEMBLE,
+    CompactSegmenter,
+    label_confidence,
+    prepared,
+    segment_with_ensemble,
+)
 from worker.encoders.compact.input_size import LONGEST, MULTIPLE, network_size, resized
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
@@ -240,7 +246,7 @@ class TestSegmenter:
             across = np.broadcast_to((np.arange(columns) + 0.5) / columns, (rows, columns))
             return np.stack([across, np.full_like(across, columns / 120)], axis=2).astype(np.float32)
 
-        seen = segment_with_ensemble(image.pixels, segment, np.eye(2, dtype=np.float32)[1:] * 0)
+        seen = segment_with_ensemble(prepared(image, 3), segment, np.eye(2, dtype=np.float32)[1:] * 0, 3)
 
         assert sizes == [
             *((0, 256, 352), (0, 448, 608)),
@@ -261,7 +267,7 @@ class TestSegmenter:
             at = label if member == 0 else 0.5 * label + np.sqrt(0.75) * nothing
             return np.broadcast_to(at, (seen.shape[0] // 4, seen.shape[1] // 4, 2)).astype(np.float32)
 
-        seen = segment_with_ensemble(drawn(960, 704).pixels, segment, label[None])
+        seen = segment_with_ensemble(prepared(drawn(960, 704), 3), segment, label[None], 3)
 
         assert label_confidence(segment(np.zeros((32, 32, 3), np.uint8), 1), label[None]) == pytest.approx(0.5)
         expected = 2 * label + 4 * 1.4 * 0.5**6 * (0.5 * label + np.sqrt(0.75) * nothing)
@@ -290,7 +296,7 @@ class TestSegmenter:
 
         vectors = load_file(WEIGHTS)["text.vectors"].astype(np.float32)
         expected = segment_with_ensemble(
-            image.pixels, lambda seen, member: engine.segment(seen[None], member)[0], vectors, members
+            prepared(image, members), lambda seen, member: engine.segment(seen[None], member)[0], vectors, members
         )
         assert np.array_equal(believed, expected)
         assert not np.array_equal(believed, segmenter(encoder).segment(image).semantic)

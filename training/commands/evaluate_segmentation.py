@@ -24,12 +24,13 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from schemas.description import Floats
+from schemas.image import Image
 from training.data.images import Pixels, read_labels, read_rgb
 from training.data.lexicon import ClipVectors, read_classes
 from training.data.sources import CLIP_FILE, images_of, labels_of, training_images
 from training.models.checkpoints import load_basis, load_independent_network, load_network, load_segmentation_network
 from worker.configure import keep_freed_memory
-from worker.encoders.compact.ensemble import segment_with_ensemble
+from worker.encoders.compact.ensemble import prepared, segment_with_ensemble
 from worker.encoders.compact.input_size import LONGEST, resized
 from worker.encoders.compact.network import CompactNetwork
 from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
@@ -145,7 +146,10 @@ def ensemble(
     """
     members: list[Callable[[Tensor], Tensor]] = [lambda x: first(*network.levels(x)), *others]
     return lambda image, longest: segment_with_ensemble(
-        image, lambda pixels, member: _run(members[member], pixels), vectors, len(members), longest
+        prepared(Image.of(image), len(members), longest),
+        lambda pixels, member: _run(members[member], pixels),
+        vectors,
+        len(members),
     )
 
 

@@ -80,7 +80,7 @@ class CompactSegmenter:
 
     shared = False
 
-    def __init__(self, engine: Engine, vectors: Floats, members: int, digest: str = "") -> None:
+    def __init__(self, engine: Engine, vectors: Floats, members: int, digest: str) -> None:
         self._engine, self._vectors, self._members = engine, vectors, members
         self.digest = digest
 
@@ -97,7 +97,7 @@ class CompactSegmenter:
             layer: Floats = self._engine.segment(pixels[None], member)[0]
             return layer
 
-        return PixelField({SEMANTIC: _merged(ready, one, self._vectors, self._members)}, image.extent)
+        return PixelField({SEMANTIC: segment_with_ensemble(ready, one, self._vectors, self._members)}, image.extent)
 
 
 def scales_of(members: int) -> list[float]:
@@ -106,43 +106,33 @@ def scales_of(members: int) -> list[float]:
 
 
 def prepared(image: Image, members: int, longest: float = LONGEST) -> PreparedImage:
-    """An image at the scales at which so many members see it."""
+    """An image at the scales at which so many members see it; these are relative to `longest`, in pixels."""
     columns, rows = (side // SEGMENTATION_STRIDE for side in network_size(image.width, image.height, longest))
     scales = tuple(resized(image.pixels, scale * longest) for scale in scales_of(members))
     return PreparedImage(scales[-1], image.digest, image.format, image.byte_count, scales, (rows, columns))
 
 
 def segment_with_ensemble(
-    pixels: Bytes2D,
-    segment: Callable[[Bytes2D, int], Floats],
-    vectors: Floats,
-    members: int = len(ENSEMBLE),
-    longest: float = LONGEST,
+    image: PreparedImage, segment: Callable[[Bytes2D, int], Floats], vectors: Floats, members: int
 ) -> Floats:
     """Weighted mean of the semantic layers over `AUGMENTATIONS`.
 
     Parameters
     ----------
-    pixels : uint8 of shape (height, width, 3)
+    image : PreparedImage
+        As from `prepared`, for as many members.
     segment : function
         Maps pixels, as from `resized`, and a member's index to float32 of shape (height / 4, width / 4, channels).
     vectors : float32 of shape (labels, channels)
         Text vectors of all known labels.
     members : int
         Number of members, at least 1.
-    longest : float
-        Longer side, in pixels, that scales are relative to.
 
     Returns
     -------
     float32 of shape (rows, columns, channels)
-        Unit length; one cell per 4 x 4 pixels of the image resized to `longest`.
+        Unit length, on the grid of the image.
     """
-    return _merged(prepared(Image(pixels, ""), members, longest), segment, vectors, members)
-
-
-def _merged(image: PreparedImage, segment: Callable[[Bytes2D, int], Floats], vectors: Floats, members: int) -> Floats:
-    """`segment_with_ensemble` of an image that lies at all scales."""
     down, across = image.grid
     at = dict(zip(scales_of(members), image.scales, strict=True))
     total = np.zeros(())
