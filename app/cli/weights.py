@@ -36,9 +36,9 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 def run_convert(arguments: argparse.Namespace) -> int:
     """Convert a checkpoint to safetensors; returns 1 when it cannot be used."""
-    from worker.encoders import inspection
+    from worker.encoders.lseg import checkpoint
 
-    return _show(inspection.convert(arguments.source, arguments.target), arguments.json)
+    return _show(checkpoint.convert(arguments.source, arguments.target), arguments.json)
 
 
 def _show(report: "WeightsReport", as_json: bool) -> int:

@@ -1,4 +1,4 @@
-"""Weights files: their identification, and conversion of a published checkpoint to safetensors."""
+"""Weights files: what they are."""
 
 import json
 from pathlib import Path
@@ -25,11 +25,6 @@ def check(path: Path) -> WeightsReport:
     if names >= COMPACT_TENSORS:
         return _check_compact(path, len(names))
     return checkpoint.check(path)
-
-
-def convert(source: Path, target: Path) -> WeightsReport:
-    """Convert LSeg's checkpoint to a safetensors file; see `worker.encoders.lseg.checkpoint.convert`."""
-    return checkpoint.convert(source, target)
 
 
 def _check_compact(path: Path, count: int) -> WeightsReport:

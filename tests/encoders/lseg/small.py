@@ -92,8 +92,8 @@ def image(height: int, width: int, seed: int = 0) -> Image:
     return Image.of((slope + rng.integers(0, 40, (height, width, 3))).astype(np.uint8))
 
 
-def save(tensors: dict[str, Tensor], path: Path, **parallel: object) -> Path:
+def save(tensors: dict[str, Tensor], path: Path, **further: object) -> Path:
     """A checkpoint as Lightning writes it."""
     named = {f"net.{name}": tensor for name, tensor in tensors.items()}
-    torch.save({"epoch": 0, "pytorch-lightning_version": "1.4.9", "state_dict": named, **parallel}, path)
+    torch.save({"epoch": 0, "pytorch-lightning_version": "1.4.9", "state_dict": named, **further}, path)
     return path

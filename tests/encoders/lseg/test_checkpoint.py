@@ -38,12 +38,12 @@ def test_a_checkpoint_loads_under_its_own_names(file: Path) -> None:
 
 
 def test_the_trainings_arguments_may_lie_in_the_file(tmp_path: Path) -> None:
-    parallel = {
+    further = {
         "hyper_parameters": argparse.Namespace(backbone="clip_vitl16_384"),
         "optimizer_states": [],
         "callbacks": {},
     }
-    file = small.save(small.state(), tmp_path / "lseg.ckpt", **parallel)
+    file = small.save(small.state(), tmp_path / "lseg.ckpt", **further)
 
     report = check(file, small.SMALL)
 

@@ -23,7 +23,7 @@ class Engine(Protocol):
 
 
 def on_cpu(
-    facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], described: Path, threads: int, encodes: bool = True
+    facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], described: Path, threads: int, encodes: bool
 ) -> Engine:
     """Build the engine on ONNX Runtime; without `encodes` it only segments.
 

@@ -117,15 +117,11 @@ def _read_checkpoint(path: Path) -> Contents:
     if not isinstance(state, dict):
         seen = sorted(map(str, whole))[:SHOWN] if isinstance(whole, dict) else type(whole).__name__
         raise SetupError(f"weights {path}: expected a checkpoint with a 'state_dict', saw {seen}")
-    unknown_places = [
-        str(name) for name, tensor in state.items() if not (isinstance(name, str) and isinstance(tensor, Tensor))
-    ]
-    if unknown_places:
-        raise SetupError(
-            f"weights {path}: entries of 'state_dict' that are no tensors: {', '.join(unknown_places[:SHOWN])}"
-        )
-    parallel = sorted(str(key) for key in whole if key != "state_dict")
-    notes = (f"{len(state)} tensors; beside them: {', '.join(parallel) or 'nothing'}",)
+    others = [str(name) for name, tensor in state.items() if not (isinstance(name, str) and isinstance(tensor, Tensor))]
+    if others:
+        raise SetupError(f"weights {path}: entries of 'state_dict' that are no tensors: {', '.join(others[:SHOWN])}")
+    further = sorted(str(key) for key in whole if key != "state_dict")
+    notes = (f"{len(state)} tensors; beside them: {', '.join(further) or 'nothing'}",)
     return Contents("lseg-checkpoint", {name.removeprefix(PREFIX): tensor for name, tensor in state.items()}, notes)
 
 

@@ -34,7 +34,7 @@ class LsegEncoder:
         In float32, on the CPU.
     tokenizer : Tokenizer
     digest : str
-        Of the weights.
+        Of the weights' values. That of the encoder is of these and of the mode ``single``, whose embeddings differ.
     mode : {"windows", "single"}
         How an image is covered; see `worker.encoders.lseg.windows`.
     device : str
@@ -54,6 +54,10 @@ class LsegEncoder:
         There is no such device.
     """
 
+    name = "lseg"
+    terms = "those of the checkpoint that REVISIT_WEIGHTS names: see docs/lseg.md"
+    known_labels = None  # any label has a vector: the text network makes it
+
     def __init__(
         self,
         network: Network,
@@ -69,7 +73,9 @@ class LsegEncoder:
         on_cpu = self._device.type == "cpu"
         self._dtype = dtype or (torch.float32 if on_cpu else half_precision())
         self._batch = batch or (1 if on_cpu else BATCH_ON_GPU)
-        self._network, self._tokenizer, self._digest, self._mode = network, tokenizer, digest, mode
+        self._network, self._tokenizer = network, tokenizer
+        self.digest = digest if mode == "windows" else hashlib.sha256(f"{digest}:{mode}".encode()).hexdigest()
+        self.layers: Mapping[str, int] = {SEMANTIC: network.config.channels}
         for part in (network.pretrained, network.scratch):
             part.to(self._device, self._dtype)
         self._covering: Covering = Windows(network.config) if mode == "windows" else Single(network.config)
@@ -111,33 +117,6 @@ class LsegEncoder:
         tokenizer = Tokenizer.read(vocabulary, config.context)
         network, digest = load(weights, config)
         return cls(network, tokenizer, digest, mode=mode, device=device, dtype=dtype, batch=batch)
-
-    @property
-    def name(self) -> str:
-        """``lseg``."""
-        return "lseg"
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 (hex) of the weights' values; in mode ``single``, whose embeddings differ, of that and the mode."""
-        if self._mode == "windows":
-            return self._digest
-        return hashlib.sha256(f"{self._digest}:{self._mode}".encode()).hexdigest()
-
-    @property
-    def terms(self) -> str:
-        """As the authors of the checkpoint state them."""
-        return "those of the checkpoint that REVISIT_WEIGHTS names: see docs/lseg.md"
-
-    @property
-    def layers(self) -> Mapping[str, int]:
-        """The language-aligned layer alone."""
-        return {SEMANTIC: self._network.config.channels}
-
-    @property
-    def known_labels(self) -> None:
-        """Any label has a vector: the text network makes it."""
-        return
 
     def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         """One field per image, in order, each computed on demand.
