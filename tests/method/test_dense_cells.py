@@ -157,9 +157,9 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     found = hough.agreement(pairs, burstiness, (24, 30), 2)
     assert found.scales[0] == pytest.approx(1.25, abs=0.03)
     assert found.scales[1] == 1
-    unqueried = hough.agreement(pairs, burstiness, (24, 30), 2, estimate_scales=False)
-    assert unqueried.scales.tolist() == [1, 1]
-    assert unqueried.scores.tolist() == found.scores.tolist()
+    without = hough.agreement(pairs, burstiness, (24, 30), 2, estimate_scales=False)
+    assert without.scales.tolist() == [1, 1]
+    assert without.scores.tolist() == found.scores.tolist()
 
 
 @settings(deadline=None)  # a busy machine is no failure

@@ -14,6 +14,9 @@ Regions = npt.NDArray[np.int32]
 Components = Callable[[Booleans], Regions]
 """8-connected components of a mask: (rows, columns) bool -> int32, 0 outside the mask and 1.. inside."""
 
+TOGETHER = 4_000_000
+"""Pairs of nodes whose cosines are held in memory at once."""
+
 
 def build(
     labels: LabelMap,
@@ -80,10 +83,6 @@ def _first_of_each(numbers: npt.NDArray[np.int64], order: Indices, count: int) -
     """For each group number 0..count-1, the first entry of `order` that belongs to it."""
     starts = np.searchsorted(numbers[order], np.arange(count))
     return order[starts]
-
-
-TOGETHER = 4_000_000
-"""Pairs of nodes whose cosines are held in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
