@@ -7,9 +7,18 @@ import pytest
 
 from schemas.description import DETAIL, SEMANTIC, Description
 from schemas.recipe import RankingConfig
-from tests.method.views_in_a_dictionary import CONFIG, FOUND, RECIPE, Dictionary, changed, described, enrolled
+from tests.method.views_in_a_dictionary import (
+    CONFIG,
+    DIMENSIONS,
+    FOUND,
+    RECIPE,
+    Dictionary,
+    changed,
+    described,
+    enrolled,
+)
 from worker.method import dense_cells
-from worker.method.byte_vectors import float_product
+from worker.method.byte_vectors import float_product, quantise
 from worker.method.cascade import rank
 from worker.method.evidence import Ranking
 from worker.method.impostors import COMPARED, LOOKED, Impostors
@@ -125,3 +134,22 @@ def test_without_histograms_they_are_as_far_as_candidates_are_on_average() -> No
     assert alike is not None
     assert farther is not None
     assert 0 < farther.score < alike.score  # those of LIKE_IT have the very histograms of the query
+
+
+def test_detail_counts_for_them_as_for_views_where_that_is_nothing() -> None:
+    def plain(one: Description) -> Description:
+        cells = one.cells.copy()
+        cells[..., :DIMENSIONS] = 0  # of one colour: every cell has the detail of the whole image
+        return replace(one, cells=cells, appearance=replace(one.appearance, coarse=quantise(dense_cells.halve(cells))))
+
+    config = changed(detail_only_top_k=2)
+    views = Dictionary({seq: plain(described(seq, 3.0)) for seq in range(10, 16)})
+    detailed = [described(seed, 4.0, detail=0.6) for seed in range(30, 34)]
+    found = ranked(of(detailed), config, views)
+    joined_alone = ranked(of(detailed), changed(detail_only_top_k=0), views)
+
+    assert found.first[0].dense is not None
+    assert found.first[0].dense.align_scale == 0
+    assert found.impostors is not None
+    assert joined_alone.impostors is not None
+    assert found.impostors.score == joined_alone.impostors.score

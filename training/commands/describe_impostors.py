@@ -47,8 +47,8 @@ def described(encoder: Encoder, describer: Describer, of_a_kind: int, elsewhere:
     """
     found: list[Description] = []
     for kind in KINDS:
-        pictures = (placeless(kind, seed) for seed in count())
-        found += islice(_descriptions(encoder, describer, pictures), of_a_kind)
+        images = (placeless(kind, seed) for seed in count())
+        found += islice(_descriptions(encoder, describer, images), of_a_kind)
     drawn = len(found)
     found += _descriptions(encoder, describer, elsewhere)
     return Impostors(
@@ -78,9 +78,9 @@ def _middle(pixels: Pixels) -> Pixels:
     return pixels[top : top + high, left : left + wide]
 
 
-def _descriptions(encoder: Encoder, describer: Describer, pictures: Iterable[Pixels]) -> Iterator[Description]:
-    for picture in pictures:
-        image = Image.of(np.ascontiguousarray(picture))
+def _descriptions(encoder: Encoder, describer: Describer, images: Iterable[Pixels]) -> Iterator[Description]:
+    for pixels in images:
+        image = Image.of(np.ascontiguousarray(pixels))
         [field] = encoder.encode([image])
         with suppress(NothingStatic):
             yield describer.describe(image, field, None)

@@ -192,9 +192,17 @@ def compare_histograms(
 
 
 def compare_coarse(
-    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: FetchCells, product: Product
+    query: Description,
+    recipe: DescriptionRecipe,
+    evidence: Evidence,
+    fetch: FetchCells,
+    product: Product,
+    align_scale: float | None = None,
 ) -> None:
-    """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone) and context graphs."""
+    """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone) and context graphs.
+
+    `align_scale` is that of other candidates of the query, if theirs is to be taken.
+    """
     evidence.appearances = evidence.appearances or fetch.appearances(evidence.seqs(evidence.rows))
     ours, config = query.appearance, evidence.config
     if ours.coarse.size:
@@ -207,11 +215,12 @@ def compare_coarse(
             alone = channel_fusion.single_channel_agreement(
                 ours.coarse, coarse, channels, DETAIL, product, cell_aspect=aspect
             ).scores
-            if not evidence.align_scale:
+            if align_scale is None:
                 # Of what comes first the view that was enrolled first: further ones of its place then change nothing.
                 leaders = (int(evidence.rows[some.argmax()]) for some in (scores, alone))
                 once = np.isin(evidence.rows, evidence.counted_once(evidence.rows, *leaders))
-                evidence.align_scale = channel_fusion.align_scale(scores[once], alone[once])
+                align_scale = channel_fusion.align_scale(scores[once], alone[once])
+            evidence.align_scale = align_scale
             scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
         evidence.put("dense", evidence.rows, scores)
         evidence.shifts, evidence.cell_aspect = agreement.shifts * 2, aspect
@@ -289,8 +298,8 @@ def compare_impostors(
     usual = {name: float(found[evidence.rows].mean()) for name, found in evidence.candidates.distances.items()}
     near = impostors.near(query.vectors, query.appearance.coarse, product, usual)
     theirs = compare_histograms(near, recipe, few, impostors, len(near.seqs), {})
-    theirs.align_scale, theirs.burstiness = evidence.align_scale, evidence.burstiness
-    compare_coarse(query, recipe, theirs, impostors, product)
+    theirs.burstiness = evidence.burstiness
+    compare_coarse(query, recipe, theirs, impostors, product, evidence.align_scale)
     if theirs.terms["dense"].max() < rival:
         return None
     compare_full(query, recipe, theirs, impostors, product)
