@@ -1,5 +1,6 @@
 // Calls of the public API, by its client. The key is kept in this tab's sessionStorage, and sent in the header alone.
 
+import { ofTab } from "./remembered.js";
 import { Problem, Revisit, address } from "./revisit.js";
 
 export { Problem, address };
@@ -12,13 +13,13 @@ const AGAIN_MS = 300;
 export const recentProblems = [];
 
 export const key = {
-  get: () => sessionStorage.getItem(KEY),
+  get: () => ofTab.getItem(KEY),
   set: (text) => {
-    sessionStorage.setItem(KEY, text);
+    ofTab.setItem(KEY, text);
     window.dispatchEvent(new Event("key"));
   },
   forget: () => {
-    sessionStorage.removeItem(KEY);
+    ofTab.removeItem(KEY);
     window.dispatchEvent(new Event("key"));
   },
 };

@@ -2,11 +2,12 @@
 
 import { call } from "./api.js";
 import { h } from "./dom.js";
+import { ofTab } from "./remembered.js";
 
 const CHOSEN = "revisit-map";
 
-export const chosenMap = () => sessionStorage.getItem(CHOSEN) ?? "default";
-export const chooseMap = (name) => sessionStorage.setItem(CHOSEN, name);
+export const chosenMap = () => ofTab.getItem(CHOSEN) ?? "default";
+export const chooseMap = (name) => ofTab.setItem(CHOSEN, name);
 
 /**
  * A select of the maps. `refresh` fetches their names and counts, and may choose one; `facts` are those of the chosen

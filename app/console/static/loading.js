@@ -4,6 +4,13 @@
 const RELOADS = "revisit-reloads";
 const WAITS_S = [1, 2, 4];
 const missing = new Set();
+const memory = (() => {
+  try {
+    return sessionStorage;
+  } catch {
+    return null; // cookies are blocked: reloads could not be counted
+  }
+})();
 
 addEventListener(
   "error",
@@ -16,23 +23,23 @@ addEventListener(
 
 // After the last file, whether it came or not; of a module that was not found the page names only main.js.
 addEventListener("load", () => {
-  const reloads = Number(sessionStorage.getItem(RELOADS));
+  const reloads = Number(memory?.getItem(RELOADS));
   if (missing.size === 0) {
-    sessionStorage.removeItem(RELOADS);
+    memory?.removeItem(RELOADS);
     return;
   }
   const names = [...missing].map((address) => new URL(address).pathname).join(", ");
   const notice = document.createElement("p");
   notice.setAttribute("role", "alert");
   document.getElementById("main").replaceChildren(notice);
-  if (reloads < WAITS_S.length) {
+  if (memory && reloads < WAITS_S.length) {
     notice.textContent = `Not all of the console arrived (${names}). It is loaded again in ${WAITS_S[reloads]} s.`;
-    sessionStorage.setItem(RELOADS, String(reloads + 1));
+    memory.setItem(RELOADS, String(reloads + 1));
     setTimeout(() => location.reload(), 1000 * WAITS_S[reloads]);
   } else {
     notice.textContent =
-      `Not all of the console arrived (${names}), ${reloads + 1} times. ` +
+      `Not all of the console arrived (${names})${memory ? `, ${reloads + 1} times` : ""}. ` +
       "Is there a proxy between? Reload the page to try again.";
-    sessionStorage.removeItem(RELOADS);
+    memory?.removeItem(RELOADS);
   }
 });

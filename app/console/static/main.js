@@ -9,6 +9,7 @@ import { mapScreen } from "./map.js";
 import { mapsScreen } from "./maps.js";
 import { queryScreen } from "./query.js";
 import { recipeScreen } from "./recipe.js";
+import { ofBrowser } from "./remembered.js";
 import { serviceScreen } from "./service.js";
 import { snapshotsScreen } from "./snapshots.js";
 
@@ -153,7 +154,7 @@ function theme(name) {
   else delete document.documentElement.dataset.theme;
   button.textContent = THEMES[name];
   button.setAttribute("aria-label", `Colours: ${THEMES[name].toLowerCase()}`);
-  localStorage.setItem("revisit-theme", name);
+  ofBrowser.setItem("revisit-theme", name);
   window.dispatchEvent(new Event("theme"));
 }
 
@@ -181,7 +182,7 @@ window.addEventListener("hashchange", () => {
   window.scrollTo(0, 0);
 });
 
-const remembered = localStorage.getItem("revisit-theme");
+const remembered = ofBrowser.getItem("revisit-theme");
 theme(remembered in THEMES ? remembered : "");
 call("GET", "/version", { quiet: true }).then(
   (version) => {
