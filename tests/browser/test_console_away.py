@@ -115,3 +115,30 @@ def test_what_is_loaded_follows_the_service_and_what_is_unfolded_stays(opened: O
     tab.page.wait_for_timeout(6000)  # it has been looked at again
     assert panel.locator("details").get_attribute("open") is not None
     tab.complaints.clear()  # of what did not come
+
+
+def test_a_problem_of_a_screen_that_was_left_is_not_shown_over_another(opened: Open) -> None:
+    tab = opened()
+    tab.page.evaluate(
+        """() => {
+            const real = window.fetch;
+            window.late = [];
+            const held = () => new Promise((_, reject) => window.late.push(reject));
+            window.fetch = (address, options) => (address.endsWith("/maps") ? held() : real(address, options));
+        }"""
+    )
+    tab.page.get_by_role("link", name="Maps", exact=True).click()
+    tab.page.wait_for_function("late.length > 0")
+    tab.show("service")
+    for _ in range(2):  # it is asked for once more
+        tab.page.wait_for_function("late.length > 0")
+        tab.page.evaluate("late.pop()(new TypeError('reset'))")
+    tab.page.get_by_text("GET /maps: ").wait_for()
+    assert tab.page.locator("main > .spaced").count() == 0
+
+
+def test_an_address_that_was_mistyped_is_told_as_the_name_of_no_map(opened: Open) -> None:
+    """Its problem, "URI malformed", was added above the screen that had been shown, once more each time."""
+    tab = opened("maps/town%", refusals=True)
+    tab.page.get_by_role("heading", name="town%").wait_for()
+    assert "town%" in tab.page.get_by_role("alert").inner_text()

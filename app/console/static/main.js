@@ -1,6 +1,6 @@
 // The frame: which screen is shown, sign in, light and dark.
 
-import { Problem, call, key } from "./api.js";
+import { call, key } from "./api.js";
 import { announce, field, h, keepsDrops, problemBox, screenProblem } from "./dom.js";
 import { enrolScreen } from "./enrol.js";
 import { healthScreen } from "./health.js";
@@ -16,6 +16,7 @@ import { snapshotsScreen } from "./snapshots.js";
 const main = document.getElementById("main");
 const kept = new Map(); // screens that go on while others are looked at
 let leave = null;
+let visits = 0;
 
 const OF_MAP = { health: healthScreen, inbox: inboxScreen, recipe: recipeScreen };
 const ofMap = (part) => (Object.hasOwn(OF_MAP, part) ? OF_MAP[part] : mapScreen);
@@ -29,6 +30,15 @@ const SCREENS = {
   service: { title: "Service", make: serviceScreen },
 };
 
+/** A part of the address as text; one that was mistyped, such as 100%, is taken as it is. */
+function decoded(part) {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return part;
+  }
+}
+
 /** Show what the address names: `#ask`, `#maps/campus/health`. A screen may have `enter` and `leave`. */
 async function show() {
   const [name, ...rest] = location.hash.slice(1).split("/");
@@ -41,26 +51,24 @@ async function show() {
   }
   document.title = `${title} · revisit`;
   leave?.();
-  const screen = kept.get(chosen) ?? make(...rest.map(decodeURIComponent));
+  const visit = ++visits;
+  const screen = kept.get(chosen) ?? make(...rest.map(decoded));
   if (keep) kept.set(chosen, screen);
   leave = screen.leave ?? null;
   const within = main.contains(document.activeElement);
   main.replaceChildren(screen.element);
   if (within) main.focus({ preventScroll: true }); // instead of a link that is gone
   main.setAttribute("aria-busy", "true");
+  let problem = null;
   try {
     await screen.enter?.();
-  } finally {
-    main.removeAttribute("aria-busy");
+  } catch (error) {
+    if (error.status !== 401) problem = screenProblem(error); // else the dialog is open
   }
+  if (visit !== visits) return; // another screen is shown by now
+  if (problem) main.prepend(problem);
+  main.removeAttribute("aria-busy");
   main.dataset.screen = location.hash.slice(1);
-}
-
-function shown() {
-  show().catch((error) => {
-    if (error instanceof Problem && error.status === 401) return; // the dialog is open
-    main.prepend(screenProblem(error));
-  });
 }
 
 function signIn(problem = null) {
@@ -105,7 +113,7 @@ function signIn(problem = null) {
                 key.forget();
                 leave();
                 kept.clear();
-                shown();
+                show();
               },
             },
             "Forget the key",
@@ -143,7 +151,7 @@ function signIn(problem = null) {
 /** Begin anew, with what this key may see. Photos that were chosen to be enrolled, and what was typed, stay. */
 function restart() {
   for (const name of [...kept.keys()]) if (name !== "enrol") kept.delete(name);
-  shown();
+  show();
 }
 
 const THEMES = { "": "Auto", light: "Light", dark: "Dark" };
@@ -173,12 +181,12 @@ const links = () => (document.getElementById("docs").hidden = Boolean(key.get())
 window.addEventListener("key", links);
 links();
 keepsDrops();
-window.addEventListener("again", shown);
+window.addEventListener("again", show);
 window.addEventListener("unauthorized", (event) => signIn(event.detail));
 window.addEventListener("hashchange", () => {
   // "Back" leaves a dialog with the screen that it was opened from; the one for a key is of every screen.
   for (const dialog of document.querySelectorAll("dialog[open]:not(#sign-in)")) dialog.close();
-  shown();
+  show();
   window.scrollTo(0, 0);
 });
 
@@ -190,4 +198,4 @@ call("GET", "/version", { quiet: true }).then(
   },
   () => {},
 );
-shown();
+show();
