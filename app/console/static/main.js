@@ -151,7 +151,9 @@ function signIn(problem = null) {
 /** Begin anew, with what this key may see. Photos that were chosen to be enrolled, and what was typed, stay. */
 function restart() {
   for (const name of [...kept.keys()]) if (name !== "enrol") kept.delete(name);
-  show();
+  const open = document.querySelector("dialog[open]"); // a view that is being edited belongs to the present screen
+  if (open) open.addEventListener("close", show, { once: true });
+  else show();
 }
 
 const THEMES = { "": "Auto", light: "Light", dark: "Dark" };

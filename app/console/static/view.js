@@ -10,6 +10,7 @@ import { showReceipt } from "./receipt.js";
 export function openView(view, map, changed) {
   const notice = h("div");
   const picture = h("div");
+  let gone = false; // somebody else deleted it
   const kinds = [
     [
       "Photo",
@@ -81,7 +82,7 @@ export function openView(view, map, changed) {
             bars(view.description.labels.slice(0, 10).map((one) => [one.label, one.share])),
           ),
         view.state === "ready" && changesSince(view, map),
-        editor(view, map, notice, done),
+        editor(view, map, done, failed),
         h("p"),
         h("button", { type: "button", class: "danger", onclick: remove }, "Delete this view …"),
       ),
@@ -107,16 +108,24 @@ export function openView(view, map, changed) {
       await showReceipt("The view is deleted", await call("DELETE", view.links.self));
       done(null);
     } catch (error) {
-      notice.replaceChildren(problemBox(error));
+      failed(error);
     }
   }
-  dialog.addEventListener("close", () => dialog.remove());
+  function failed(error) {
+    gone = error.status === 404;
+    notice.replaceChildren(problemBox(error));
+  }
+  dialog.addEventListener("close", () => {
+    dialog.remove();
+    if (gone) changed(null);
+  });
   document.body.append(dialog);
   if (map.keep_images) choices[0].click();
   dialog.showModal();
 }
 
-function editor(view, map, notice, done) {
+/** The form of what can be edited; what somebody else changed meanwhile stays as it is unless it is changed here. */
+function editor(view, map, done, failed) {
   const position = view.position ?? {};
   const geographic =
     position.lat !== undefined && position.lat !== null
@@ -136,6 +145,8 @@ function editor(view, map, notice, done) {
     spellcheck: "false",
     value: Object.keys(view.metadata).length ? JSON.stringify(view.metadata, null, 1) : "",
   });
+  const typed = () => [place, ...Object.values(inputs)].map((input) => input.value.trim());
+  const [placeBefore, ...positionBefore] = typed();
   const units = {
     x: "x, metres",
     y: "y, metres",
@@ -149,6 +160,9 @@ function editor(view, map, notice, done) {
   async function saved(event) {
     event.preventDefault();
     try {
+      const changes = {};
+      const [placeNow, ...positionNow] = typed();
+      if (placeNow !== placeBefore) changes.place = placeNow || null;
       const numbers = Object.fromEntries(
         Object.entries(inputs).map(([name, input]) => [
           name,
@@ -159,20 +173,12 @@ function editor(view, map, notice, done) {
       if (!isObject(kept))
         throw Object.assign(new Error(), { title: "Metadata", detail: 'not a JSON object, such as {"floor": 2}' });
       const empty = Object.values(numbers).every((value) => value === null);
-      const after = await call("PATCH", view.links.self, {
-        json: {
-          place: place.value.trim() || null,
-          position: empty ? null : numbers,
-          metadata: mergePatch(view.metadata, kept),
-        },
-        type: "application/merge-patch+json",
-      });
-      done(after);
+      if (String(positionNow) !== String(positionBefore)) changes.position = empty ? null : numbers;
+      changes.metadata = mergePatch(view.metadata, kept);
+      done(await call("PATCH", view.links.self, { json: changes, type: "application/merge-patch+json" }));
     } catch (error) {
-      notice.replaceChildren(
-        problemBox(
-          error instanceof SyntaxError ? { title: "Metadata", detail: `not a JSON object: ${error.message}` } : error,
-        ),
+      failed(
+        error instanceof SyntaxError ? { title: "Metadata", detail: `not a JSON object: ${error.message}` } : error,
       );
     }
   }
@@ -201,10 +207,9 @@ const isObject = (value) => typeof value === "object" && value !== null && !Arra
 /** The merge patch (RFC 7396) that makes object `after` of object `before`: null for each name that goes. */
 function mergePatch(before, after) {
   const removed = Object.keys(before).filter((name) => !Object.hasOwn(after, name));
-  const made = Object.entries(after).map(([name, value]) => [
-    name,
-    isObject(value) && isObject(before[name]) ? mergePatch(before[name], value) : value,
-  ]);
+  const made = Object.entries(after)
+    .filter(([name, value]) => JSON.stringify(value) !== JSON.stringify(before[name]))
+    .map(([name, value]) => [name, isObject(value) && isObject(before[name]) ? mergePatch(before[name], value) : value]);
   return Object.fromEntries([...removed.map((name) => [name, null]), ...made]);
 }
 

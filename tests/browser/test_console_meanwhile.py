@@ -1,0 +1,86 @@
+"""What others change, or a key that ends, while somebody looks at a view."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.browser.conftest import Open, Tab
+from tests.browser.test_console_keys import Locked, locked, sign_in
+from tests.sample_images import photo as drawn_photo
+from tests.stories.running import RunningService
+
+__all__ = ["locked"]  # a fixture
+
+
+def put(service: RunningService, seed: int, **attributes: str) -> dict[str, Any]:
+    """Enrol a photo into the map `shared`."""
+    fields = {"map": "shared", **attributes}
+    answer = httpx.post(f"{service.url}/enroll", files={"image": drawn_photo(seed)}, data=fields, timeout=60)
+    view: dict[str, Any] = answer.raise_for_status().json()["view"]
+    return view
+
+
+def unfold(tab: Tab) -> None:
+    tab.page.get_by_role("dialog").get_by_text("Edit", exact=True).click()
+
+
+def test_an_edit_changes_what_was_typed_alone(opened: Open, service: RunningService) -> None:
+    """The name and the position that others gave meanwhile were taken back."""
+    view = put(service, 700, place="old name", x="1", y="2", metadata='{"floor": 1, "code": 12345678901234567890}')
+    address = f"{service.url}/views/{view['id']}"
+    tab = opened("maps/shared")
+    tab.page.get_by_role("button", name="View 1: old name").click()
+    httpx.patch(address, json={"place": "new name", "position": {"x": 5, "y": 6}}).raise_for_status()
+    unfold(tab)
+    metadata = tab.page.get_by_label("Metadata, a JSON object")
+    metadata.fill(metadata.input_value().replace('"floor": 1', '"floor": 2'))
+    tab.page.get_by_role("button", name="Save").click()
+    tab.page.get_by_role("dialog").wait_for(state="detached")
+    now = httpx.get(address).json()
+    assert (now["place"], now["position"]["x"], now["position"]["y"]) == ("new name", 5, 6)
+    assert now["metadata"] == {"floor": 2, "code": 12345678901234567890}
+
+
+@pytest.mark.parametrize("how", ["edited", "deleted"])
+def test_a_view_that_others_deleted_leaves_the_list_once_its_dialog_is_closed(
+    opened: Open, service: RunningService, how: str
+) -> None:
+    put(service, 710, place="stays")
+    view = put(service, 711, place="goes")
+    tab = opened("maps/shared", refusals=True)
+    tab.page.get_by_role("button", name="goes 1 view").click()
+    tab.page.get_by_role("button", name="View 1: goes").click()
+    tab.page.locator("dialog img[src]").wait_for()
+    tab.shows_its_images()
+    httpx.delete(f"{service.url}/views/{view['id']}").raise_for_status()
+    if how == "edited":
+        unfold(tab)
+        tab.page.get_by_label("Place", exact=True).fill("another")
+        tab.page.get_by_role("button", name="Save").click()
+    else:
+        tab.page.get_by_role("button", name="Delete this view …").click()
+        tab.confirm("Delete the view")
+    tab.page.get_by_role("dialog").get_by_text("there is no view").wait_for()
+    tab.page.keyboard.press("Escape")
+    tab.page.get_by_role("heading", name="All views").wait_for()
+    tab.awaits('.names [data-place="goes"]', 0)
+
+
+def test_an_edit_that_a_key_ended_under_is_saved_and_shown_with_the_next_key(opened: Open, locked: Locked) -> None:
+    """It was saved, and the map behind it went on showing what had been there."""
+    service, keys = locked
+    tab = opened("maps/vault", url=service.url, refusals=True)
+    sign_in(tab, keys["admin"])
+    tab.page.get_by_role("button", name="View 1: door").click()
+    tab.page.locator("dialog img[src]").wait_for()
+    unfold(tab)
+    tab.page.get_by_label("Place", exact=True).fill("gate")
+    tab.page.evaluate("sessionStorage.setItem('revisit-key', 'rv_ended')")
+    tab.page.get_by_role("button", name="Save").click()
+    tab.page.locator("#sign-in").wait_for()
+    sign_in(tab, keys["admin"])
+    tab.page.locator("#sign-in").wait_for(state="detached")
+    tab.page.get_by_role("button", name="Save").click()
+    tab.page.get_by_role("button", name="View 1: gate").wait_for()
+    tab.awaits("dialog", 0)
