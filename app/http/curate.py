@@ -289,14 +289,14 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self,
         map_name: str | None,
         *,
-        kind: JobKind | None,
+        kinds: Collection[JobKind],
         state: JobState | None,
         cursor: str | None,
         limit: int,
         among: Collection[str] | None = None,
     ) -> wire.Jobs:
         """A page of jobs, newest first; `among`: of these maps alone."""
-        page = partial(self._services.jobs.page, kind=kind, state=state, cursor=cursor, limit=limit, among=among)
+        page = partial(self._services.jobs.page, kinds=kinds, state=state, cursor=cursor, limit=limit, among=among)
         records, following = await asyncio.to_thread(page, map_name)
         return wire.Jobs(jobs=[presenters.job(record) for record in records], next=following)
 

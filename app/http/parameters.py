@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from datetime import datetime, timedelta
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from app.http.validation import Parameters
 from schemas import values
 from schemas.errors import ParameterError
-from schemas.records import Filters, Position, ViewAttributes
+from schemas.records import Filters, JobKind, Position, ViewAttributes
 from schemas.where import condition
 from schemas.wire import HealthCode
 
@@ -263,18 +263,34 @@ class DeleteViews(FilterParameters):
         return found
 
 
+def _job_kinds(text: str) -> str:
+    """Check kinds of jobs with commas between them, each once."""
+    known, named = get_args(JobKind), text.split(",")
+    if not set(named) <= set(known) or len(set(named)) < len(named):
+        raise ValueError(f"needs some of {', '.join(known)}, each once, with commas between them")
+    return text
+
+
 class ListJobs(Parameters):
     """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
-    kind: Literal["describe", "recipe", "shadow", "vocabulary", "snapshot", "import"] | None = Field(
-        None, description="Only jobs of this kind."
+    kind: Annotated[str, AfterValidator(_job_kinds)] | None = Field(
+        None,
+        examples=["recipe,import"],
+        description=f"Only jobs of these kinds, with commas between: {', '.join(get_args(JobKind))}. "
+        "Each view that is enrolled has a job of the kind describe, those of an import too.",
     )
     state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(
         None, description="Only jobs in this state."
     )
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
     limit: int = Field(50, ge=1, le=500, description="Jobs a page.")
+
+    @property
+    def kinds(self) -> tuple[JobKind, ...]:
+        """The kinds that are named; none: all."""
+        return tuple(kind for kind in get_args(JobKind) if self.kind and kind in self.kind.split(","))
 
 
 class RestoreParameters(Parameters):

@@ -107,7 +107,7 @@ class JobCalls:
         return self._connection.receive(wire.Job, "GET", address("jobs", job_id))
 
     def jobs(self, map: str | None = None, *, kind: str | None = None, state: str | None = None) -> Iterator[wire.Job]:
-        """Iterate over jobs, newest first, fetched in pages as needed."""
+        """Iterate over jobs, newest first, fetched in pages as needed; `kind`: one, or several with commas between."""
         for page in self._connection.pages(wire.Jobs, "/jobs", texts({"map": map, "kind": kind, "state": state})):
             yield from page.jobs
 

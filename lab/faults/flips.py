@@ -185,7 +185,7 @@ class Flips:
         for call in (
             services.maps.all,
             lambda: services.views.page(None, Filters(), state=None, newest_first=False, cursor=None, limit=50),
-            lambda: services.jobs.page(None, kind=None, state=None, cursor=None, limit=50),
+            lambda: services.jobs.page(None, kinds=(), state=None, cursor=None, limit=50),
         ):
             with suppress(RevisitError):
                 call()

@@ -61,7 +61,8 @@ class MadeUp:
             counted = [{"place": name, "views": sum(row["place"] == name for row in self.rows)} for name in names]
             route.fulfill(json={"places": counted, "next": None})
         elif url.path.startswith("/jobs"):
-            route.fulfill(json={"jobs": self.jobs, "next": None})
+            kinds = url.params["kind"].split(",")
+            route.fulfill(json={"jobs": [job for job in self.jobs if job["kind"] in kinds], "next": None})
         elif url.path == "/maps/town":
             facts = route.fetch().json()
             made = {"views": {"ready": len(self.rows)}, "places": 2, "revision": self.revision}

@@ -1,14 +1,20 @@
 """Recordings and videos are imported in the console."""
 
+import re
 import zipfile
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import httpx
 
 from tests.browser.conftest import Open
 from tests.browser.test_console_maps import check, seen
+from tests.browser.test_console_mishaps import JOB
 from tests.drawn_videos import frames, video
 from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Route
 
 
 def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: RunningService, tmp_path: Path) -> None:
@@ -72,3 +78,23 @@ def test_a_video_is_imported_with_a_frame_every_two_seconds(
     panel.get_by_text("Done: filmed.").wait_for()
     views = httpx.get(f"{service.url}/views?map=filmed").json()["views"]
     assert [view["metadata"]["video_s"] for view in views] == [0, 2, 4]
+
+
+def test_an_import_is_listed_behind_the_jobs_of_the_views_that_it_enrolled(opened: Open) -> None:
+    """There is one for each; after 100 the list said that there was no job, and none could be cancelled."""
+    described: list[dict[str, Any]] = [
+        JOB | {"id": f"d{number}", "kind": "describe", "state": "done", "progress": None} for number in range(150)
+    ]
+    jobs = [*described, JOB | {"kind": "import"}]
+
+    def answered(route: "Route") -> None:
+        params = httpx.URL(route.request.url).params
+        wanted = [job for job in jobs if job["kind"] in params.get("kind", job["kind"]).split(",")]
+        route.fulfill(json={"jobs": wanted[: int(params["limit"])], "next": None})
+
+    tab = opened()
+    tab.page.route(re.compile(r"/jobs\?"), answered)
+    tab.show("maps/town")
+    listed = tab.page.get_by_role("region", name="Jobs")
+    listed.get_by_text("importing a recording").wait_for()
+    assert listed.get_by_role("button", name="Cancel").count() == 1

@@ -171,6 +171,9 @@ def test_jobs_are_followed_past_the_first_that_ends_and_past_a_refusal(opened: O
     looks: list[int] = []
 
     def answered(route: "Route") -> None:
+        if "kind=describe" in route.request.url:
+            route.fulfill(json={"jobs": [], "next": None})
+            return
         looks.append(1)
         if len(looks) == 3:
             route.fulfill(status=429, json=BUSY, content_type="application/problem+json")

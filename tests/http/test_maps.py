@@ -105,14 +105,18 @@ def test_places_and_jobs(client: CheckedClient) -> None:
 
 
 def test_jobs_are_listed_by_map_kind_and_state(client: CheckedClient, recogniser: FakeRecogniser) -> None:
-    page = client.get("/jobs?map=campus&kind=recipe&state=running&cursor=abc&limit=7").json()
+    page = client.get("/jobs?map=campus&kind=import,recipe&state=running&cursor=abc&limit=7").json()
     assert [job["id"] for job in page["jobs"]] == ["j1"]
-    assert recogniser.given == {"map": "campus", "kind": "recipe", "state": "running", "cursor": "abc", "limit": 7}
+    kinds = ("recipe", "import")
+    assert recogniser.given == {"map": "campus", "kinds": kinds, "state": "running", "cursor": "abc", "limit": 7}
     client.get("/jobs")
-    assert recogniser.given == {"map": None, "kind": None, "state": None, "cursor": None, "limit": 50}
+    assert recogniser.given == {"map": None, "kinds": (), "state": None, "cursor": None, "limit": 50}
 
 
-@pytest.mark.parametrize("query", ["map=.x", "kind=odd", "state=ready", "cursor=", "limit=501", "place=hall"])
+@pytest.mark.parametrize(
+    "query",
+    ["map=.x", "kind=odd", "kind=recipe,recipe", "kind=recipe,", "state=ready", "cursor=", "limit=501", "place=hall"],
+)
 def test_a_list_of_jobs_refuses_unknown_parameters(client: CheckedClient, query: str) -> None:
     answer = client.get(f"/jobs?{query}")
     assert answer.status_code == 422

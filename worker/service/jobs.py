@@ -29,7 +29,7 @@ class JobService:
         self,
         map_name: str | None,
         *,
-        kind: JobKind | None,
+        kinds: Collection[JobKind],
         state: JobState | None,
         cursor: str | None,
         limit: int,
@@ -37,9 +37,9 @@ class JobService:
     ) -> tuple[list[JobRecord], str | None]:
         """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map.
 
-        `among`: of these maps alone.
+        `kinds`: of these alone; none: of all. `among`: of these maps alone.
         """
-        return self._jobs.list(map_name, kind=kind, state=state, cursor=cursor, limit=limit, among=among)
+        return self._jobs.list(map_name, kinds=kinds, state=state, cursor=cursor, limit=limit, among=among)
 
     def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job; raises NotFound, or Conflict when it can no longer be cancelled."""

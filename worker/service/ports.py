@@ -190,13 +190,13 @@ class Jobs(Protocol):
         self,
         name: str | None,
         *,
-        kind: JobKind | None = None,
+        kinds: Collection[JobKind] = (),
         state: JobState | None = None,
         cursor: str | None = None,
         limit: int = 50,
         among: Collection[str] | None = None,
     ) -> tuple[builtins.list[JobRecord], str | None]:
-        """A page of jobs, newest first, and the cursor of the next."""
+        """A page of jobs, newest first, and the cursor of the next; `kinds`: of these alone, none: of all."""
         ...
 
     def cancel(self, job_id: str, now: datetime) -> JobRecord:

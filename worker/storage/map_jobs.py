@@ -185,7 +185,7 @@ class MapJobs(Jobs):
         self,
         name: str | None,
         *,
-        kind: JobKind | None = None,
+        kinds: Collection[JobKind] = (),
         state: JobState | None = None,
         cursor: str | None = None,
         limit: int = 50,
@@ -193,7 +193,7 @@ class MapJobs(Jobs):
     ) -> "tuple[list[JobRecord], str | None]":
         """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map.
 
-        `among`: only jobs of these maps.
+        `kinds`: only jobs of these kinds, of all where it is empty. `among`: only jobs of these maps.
         """
         # Their numbers first: a map has a job for each view, and whole rows of all would be read to be sorted.
         numbers = sa.select(JOBS.c.number).join(MAPS, _NAMED).order_by(JOBS.c.number.desc()).limit(limit + 1)
@@ -202,8 +202,8 @@ class MapJobs(Jobs):
             numbers = numbers.where(JOBS.c.number < last)
         if among is not None:
             numbers = numbers.where(JOBS.c.map_id.in_(maps_named(among)))
-        if kind is not None:
-            numbers = numbers.where(JOBS.c.kind == kind)
+        if kinds:
+            numbers = numbers.where(JOBS.c.kind.in_(kinds))
         if state is not None:
             numbers = numbers.where(JOBS.c.state == state)
         with self._database.reading() as connection:

@@ -16,6 +16,10 @@ const KINDS = {
   import: "importing a recording",
 };
 
+const OF_MAPS = Object.keys(KINDS)
+  .filter((kind) => kind !== "describe")
+  .join();
+
 const runs = (job) => ["waiting", "running"].includes(job.state);
 
 /** Poll a job until it has ended or `wanted()` is false; `report(job)` is called each time. Gives its last state. */
@@ -48,12 +52,16 @@ export function jobList(map, finished = () => {}, idle = null) {
   async function look() {
     clearTimeout(timer);
     try {
-      const latest = await call("GET", "/jobs", { query: { map, limit: 100 } });
-      // Views that were described are not news: there is one such job for each.
-      const jobs = latest.jobs.filter((job) => job.kind !== "describe" || job.state !== "done").slice(0, MOST);
+      // Each view has a job of its own, those of an import too: among them the others would not be found.
+      const [ofMaps, ofViews] = await Promise.all([
+        call("GET", "/jobs", { query: { map, kind: OF_MAPS, limit: MOST / 2 } }),
+        call("GET", "/jobs", { query: { map, kind: "describe", limit: 100 } }),
+      ]);
       if (stopped) return;
-      const running = new Set(latest.jobs.filter(runs).map((job) => job.id));
-      const news = latest.jobs.some((job) => ran.has(job.id) && !runs(job) && job.kind !== "describe");
+      const latest = [...ofMaps.jobs, ...ofViews.jobs];
+      const jobs = latest.filter((job) => job.kind !== "describe" || job.state !== "done").slice(0, MOST);
+      const running = new Set(latest.filter(runs).map((job) => job.id));
+      const news = ofMaps.jobs.some((job) => ran.has(job.id) && !runs(job));
       const ended = news || (ran.size > 0 && running.size === 0);
       ran = running;
       draw(jobs);

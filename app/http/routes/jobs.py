@@ -42,7 +42,7 @@ async def list_jobs(params: Annotated[ListJobs, Query()], curator: Curates, acce
     check_map(access, params.map)
     return await curator.jobs(
         params.map,
-        kind=params.kind,
+        kinds=params.kinds,
         state=params.state,
         cursor=params.cursor,
         limit=params.limit,
