@@ -33,6 +33,23 @@ def made(service: RunningService, name: str) -> None:
     httpx.put(f"{service.url}/maps/{name}", json={}, timeout=60).raise_for_status()
 
 
+# filters
+
+
+def test_a_filter_of_metadata_without_a_value_is_refused(opened: Open, query_photo: Path) -> None:
+    """It was left out without a word, so that the answer was of all views."""
+    tab = opened()
+    tab.page.get_by_text("Filters and more").click()
+    tab.page.get_by_label("Metadata", exact=True).fill("floor")
+    tab.page.get_by_label("Choose a photo").set_input_files(query_photo)
+    tab.page.get_by_role("alert").filter(has_text="as in floor=2; not floor").wait_for()
+    tab.page.get_by_label("Metadata", exact=True).fill("floor = 2")
+    with tab.page.expect_request("**/query?**") as query:
+        tab.page.get_by_role("button", name="Ask").click()
+    assert "metadata.floor=2" in query.value.url.split("?")[1].split("&")
+    tab.page.get_by_role("heading", name="Not recognised").wait_for()
+
+
 # what becomes of photos
 
 

@@ -1,7 +1,7 @@
 // Ask: a photo, and where it was taken.
 
 import { answerPanel } from "./answer.js";
-import { call } from "./api.js";
+import { Problem, call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { snippets } from "./snippets.js";
@@ -151,9 +151,16 @@ export function queryScreen() {
       frame: inputs.near.value && frame.value,
     };
     for (const [name, input] of Object.entries(inputs)) given[name] = input.value.trim();
-    const [name, ...value] = given.metadata.split("=");
+    if (given.metadata) {
+      const [, name, value] = /^([^=]+?)\s*=\s*(.+)$/.exec(given.metadata) ?? [];
+      if (!name)
+        throw new Problem(0, {
+          title: "Metadata",
+          detail: `a key and its value are needed, as in floor=2; not ${given.metadata}`,
+        });
+      given[`metadata.${name}`] = value;
+    }
     delete given.metadata;
-    if (name) given[`metadata.${name}`] = value.join("=");
     if (given.top === "5") delete given.top;
     if (given.also) {
       given.maps = `${given.map},${given.also}`;
