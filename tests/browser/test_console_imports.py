@@ -61,6 +61,20 @@ def test_a_proxy_that_answers_in_place_of_the_service_is_told_from_it(opened: Op
     assert panel.get_by_role("button", name="Import the recording").is_enabled()
 
 
+def test_an_import_goes_on_where_the_key_ends_that_began_it(opened: Open, tmp_path: Path) -> None:
+    """It was said not to be imported, though it was."""
+    (tmp_path / "walk.zip").write_bytes(b"PK")
+    refused = {"type": "urn:x:unauthorized", "title": "No key", "status": 401, "detail": "it ended"}
+    tab = opened("enrol", refusals=True)
+    tab.page.route("**/imports", lambda route: route.fulfill(status=202, json=JOB | {"kind": "import"}))
+    tab.page.route("**/jobs/j1", lambda route: route.fulfill(status=401, json=refused))
+    panel = tab.page.get_by_label("A recording", exact=True)
+    panel.get_by_label("Choose a zip archive or a video").set_input_files(tmp_path / "walk.zip")
+    panel.get_by_role("button", name="Import the recording").press("Enter")
+    tab.page.locator("#sign-in").wait_for()
+    assert "walk.zip was sent; the jobs of the map tell" in panel.inner_text()
+
+
 def test_a_video_is_imported_with_a_frame_every_two_seconds(
     opened: Open, service: RunningService, tmp_path: Path
 ) -> None:

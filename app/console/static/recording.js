@@ -39,6 +39,7 @@ export function recording(map, changed) {
   async function run(event) {
     event.preventDefault();
     busy = true;
+    job = null;
     start.disabled = true;
     bar.hidden = false;
     result.replaceChildren();
@@ -62,7 +63,9 @@ export function recording(map, changed) {
       announce(status.textContent);
       changed();
     } catch (error) {
-      status.textContent = `${file.name} was not imported.`;
+      status.textContent = job
+        ? `${file.name} was sent; the jobs of the map tell how its import goes on.`
+        : `${file.name} was not imported.`;
       result.replaceChildren(problemBox(error));
     } finally {
       busy = false;
