@@ -128,10 +128,10 @@ def test_a_problem_of_a_screen_that_was_left_is_not_shown_over_another(opened: O
         }"""
     )
     tab.page.get_by_role("link", name="Maps", exact=True).click()
-    tab.page.wait_for_function("late.length > 0")
+    tab.page.wait_for_function("() => late.length > 0")
     tab.show("service")
     for _ in range(2):  # it is asked for once more
-        tab.page.wait_for_function("late.length > 0")
+        tab.page.wait_for_function("() => late.length > 0")
         tab.page.evaluate("late.pop()(new TypeError('reset'))")
     tab.page.get_by_text("GET /maps: ").wait_for()
     assert tab.page.locator("main > .spaced").count() == 0
