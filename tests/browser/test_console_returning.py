@@ -98,3 +98,17 @@ def test_a_tab_that_sends_a_snapshot_is_not_closed_without_a_word(opened: Open, 
     held[0].continue_()
     tab.page.locator("main").get_by_role("alert").wait_for()
     assert not tab.page.evaluate(ASKS)
+
+
+def test_plans_that_are_shown_no_more_are_not_kept(opened: Open) -> None:
+    """The window kept each, with its points, until the colours were changed."""
+    tab = opened("service")
+    for _ in range(5):
+        tab.show("maps/town")
+        tab.page.locator("canvas.plan[aria-label]").wait_for()
+        tab.show("service")
+    session = tab.page.context.new_cdp_session(tab.page)
+    canvas = session.send("Runtime.evaluate", {"expression": "HTMLCanvasElement.prototype"})["result"]["objectId"]
+    kept = session.send("Runtime.queryObjects", {"prototypeObjectId": canvas})["objects"]["objectId"]
+    call = {"objectId": kept, "functionDeclaration": "function () { return this.length; }", "returnByValue": True}
+    assert session.send("Runtime.callFunctionOn", call)["result"]["value"] <= 2

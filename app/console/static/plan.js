@@ -12,6 +12,11 @@ const PAGE = 500;
 const MOST = 10_000; // views that give a map its shape
 const AROUND_M = 50;
 
+// By the page, since the window would keep each plan that listens to it, with all its points.
+window.addEventListener("theme", () => {
+  for (const canvas of document.querySelectorAll("canvas.plan")) canvas.dispatchEvent(new Event("theme"));
+});
+
 /** Degrees of longitude within 180 of 0: positions on both sides of the date line are near each other. */
 const turned = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
 
@@ -175,8 +180,7 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
     return best;
   }
   new ResizeObserver(draw).observe(canvas);
-  const redraw = () => (canvas.isConnected ? draw() : window.removeEventListener("theme", redraw));
-  window.addEventListener("theme", redraw);
+  canvas.addEventListener("theme", draw);
   let soon = null;
   /** Draw once for all points that come within a short while. */
   function drawSoon() {
