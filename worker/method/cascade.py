@@ -199,10 +199,8 @@ def compare_coarse(
     product: Product,
     align_scale: float | None = None,
 ) -> None:
-    """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone) and context graphs.
-
-    `align_scale` is that of other candidates of the query, if theirs is to be taken.
-    """
+    """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone, by the scale of other
+    candidates where that is given) and context graphs."""
     evidence.appearances = evidence.appearances or fetch.appearances(evidence.seqs(evidence.rows))
     ours, config = query.appearance, evidence.config
     if ours.coarse.size:
@@ -305,9 +303,8 @@ def compare_impostors(
     compare_full(query, recipe, theirs, impostors, product)
     score, _ = score_fusion.score(theirs.terms, config, theirs.rows)
     best = int(score.argmax())
-    return ImpostorEvidence(
-        float(score[best]), tuple(theirs.cells.values()), elsewhere=bool(near.seqs[best] >= impostors.placeless)
-    )
+    elsewhere = bool(near.seqs[best] >= impostors.placeless)
+    return ImpostorEvidence(float(score[best]), tuple(theirs.cells.values()), elsewhere)
 
 
 def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
