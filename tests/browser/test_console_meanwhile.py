@@ -13,9 +13,7 @@ from tests.stories.running import RunningService
 __all__ = ["locked"]  # a fixture
 
 
-def put(service: RunningService, seed: int, **attributes: str) -> dict[str, Any]:
-    """Enrol a photo into the map `shared`."""
-    fields = {"map": "shared", **attributes}
+def put(service: RunningService, seed: int, **fields: str) -> dict[str, Any]:
     answer = httpx.post(f"{service.url}/enroll", files={"image": drawn_photo(seed)}, data=fields, timeout=60)
     view: dict[str, Any] = answer.raise_for_status().json()["view"]
     return view
@@ -27,9 +25,10 @@ def unfold(tab: Tab) -> None:
 
 def test_an_edit_changes_what_was_typed_alone(opened: Open, service: RunningService) -> None:
     """The name and the position that others gave meanwhile were taken back."""
-    view = put(service, 700, place="old name", x="1", y="2", metadata='{"floor": 1, "code": 12345678901234567890}')
+    metadata_now = '{"floor": 1, "code": 12345678901234567890}'
+    view = put(service, 700, map="edited-here", place="old name", x="1", y="2", metadata=metadata_now)
     address = f"{service.url}/views/{view['id']}"
-    tab = opened("maps/shared")
+    tab = opened("maps/edited-here")
     tab.page.get_by_role("button", name="View 1: old name").click()
     httpx.patch(address, json={"place": "new name", "position": {"x": 5, "y": 6}}).raise_for_status()
     unfold(tab)
@@ -46,9 +45,10 @@ def test_an_edit_changes_what_was_typed_alone(opened: Open, service: RunningServ
 def test_a_view_that_others_deleted_leaves_the_list_once_its_dialog_is_closed(
     opened: Open, service: RunningService, how: str
 ) -> None:
-    put(service, 710, place="stays")
-    view = put(service, 711, place="goes")
-    tab = opened("maps/shared", refusals=True)
+    name = f"gone-{how}"
+    put(service, 710, map=name, place="stays")
+    view = put(service, 711, map=name, place="goes")
+    tab = opened(f"maps/{name}", refusals=True)
     tab.page.get_by_role("button", name="goes 1 view").click()
     tab.page.get_by_role("button", name="View 1: goes").click()
     tab.page.locator("dialog img[src]").wait_for()
