@@ -277,7 +277,7 @@ def test_images_go_however_the_last_job_of_a_switch_ends(forgetful: SqlStore, da
         [mist] = forgetful.jobs.claim("worker", 1)
         forgetful.jobs.fail(mist, "nothing-static", "nothing but mist", NOW)
     elif ending == "is cancelled":
-        [waiting] = forgetful.jobs.list("campus", kinds=("describe",), state="waiting")[0]
+        [waiting] = forgetful.jobs.list("campus", kinds=["describe"], state="waiting")[0]
         forgetful.jobs.cancel(waiting.id, NOW)
     elif ending == "is left by three workers":
         for _ in range(ATTEMPTS):

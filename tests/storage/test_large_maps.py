@@ -129,7 +129,7 @@ def test_a_call_with_a_key_begins_as_quickly_among_many(data: Path) -> None:
 def test_a_page_of_jobs_reads_the_rows_of_no_others(data: Path) -> None:
     put_tables(data)
     with closing(open_store(sqlite_url(data), data)) as store:
-        page = partial(store.jobs.list, "campus", kinds=("describe",), limit=10)
+        page = partial(store.jobs.list, "campus", kinds=["describe"], limit=10)
         enroll(store, "gate")
         have_described(store, 10)
         page()

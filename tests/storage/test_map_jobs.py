@@ -255,8 +255,8 @@ def test_jobs_are_listed_newest_first_by_map_kind_and_state(store: SqlStore) -> 
     everything, following = store.jobs.list(None, limit=100)
     assert following is None
     assert [one.kind for one in everything] == ["describe", "describe", "recipe", "describe", "describe", "describe"]
-    assert [one.id for one in store.jobs.list("campus", kinds=("recipe",))[0]] == [job.id]
-    assert [one.map for one in store.jobs.list(None, kinds=("describe",), state="waiting")[0]] == [
+    assert [one.id for one in store.jobs.list("campus", kinds=["recipe"])[0]] == [job.id]
+    assert [one.map for one in store.jobs.list(None, kinds=["describe"], state="waiting")[0]] == [
         "campus", "campus", "museum",
     ]  # fmt: skip
     assert store.jobs.list("campus", kinds=("describe", "recipe"))[0] == store.jobs.list("campus")[0]

@@ -345,5 +345,5 @@ def test_the_jobs_of_a_large_map_are_written_and_sealed_in_portions(
     assert max(together) == 5
     with store._database.reading() as connection:
         assert connection.scalar(sa.select(sa.func.count()).where(JOBS.c.checksum.is_(None))) == 0
-    described = store.jobs.list("campus", kinds=("describe",))[0]
+    described = store.jobs.list("campus", kinds=["describe"])[0]
     assert [one.state for one in described] == ["cancelled"] * 10 + ["done"] * 10
