@@ -209,7 +209,10 @@ function mergePatch(before, after) {
   const removed = Object.keys(before).filter((name) => !Object.hasOwn(after, name));
   const made = Object.entries(after)
     .filter(([name, value]) => JSON.stringify(value) !== JSON.stringify(before[name]))
-    .map(([name, value]) => [name, isObject(value) && isObject(before[name]) ? mergePatch(before[name], value) : value]);
+    .map(([name, value]) => [
+      name,
+      isObject(value) && isObject(before[name]) ? mergePatch(before[name], value) : value,
+    ]);
   return Object.fromEntries([...removed.map((name) => [name, null]), ...made]);
 }
 
