@@ -29,15 +29,18 @@ def photos(count: int, size: int = 64) -> dict[str, bytes | str]:
     return {f"walk/{i:04}.jpg": encoded(drawn(size, size, i)) for i in range(count)}
 
 
-def ended(client: httpx.Client, job_id: str, within_s: float = 60) -> dict[str, Any]:
-    """The job once it has ended."""
-    until = time.monotonic() + within_s
+def ended(client: httpx.Client, job_id: str) -> dict[str, Any]:
+    """The job once it has ended: it may take any time while it advances."""
+    seen: tuple[object, ...] = ()
+    until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
         job: dict[str, Any] = client.get(f"/jobs/{job_id}").json()
         if job["state"] not in ("waiting", "running"):
             return job
+        if (job["state"], job["progress"]) != seen:
+            seen, until = (job["state"], job["progress"]), time.monotonic() + PATIENCE_S
         time.sleep(0.02)
-    raise AssertionError(f"the job has not ended: {job}")
+    raise AssertionError(f"the job no longer advances: {job}")
 
 
 def is_emptied(folder: Path, within_s: float = PATIENCE_S) -> bool:

@@ -32,18 +32,22 @@ def make_product(settings: Settings) -> Product:
 def fastest_product() -> Product:
     """ONNX Runtime's product of bytes where it is faster (processors with instructions for it), float32 otherwise.
 
-    Both give the same integers, so a trial of a few milliseconds may decide. Without such instructions sums of two
-    products may saturate at 16 bits: the trial has the largest.
+    Both give the same integers, so a trial of a few milliseconds may decide.
     """
-    cells = np.random.default_rng(0).integers(-127, 128, (CELLS, DIMENSIONS), np.int8)
-    cells[0], cells[1] = 127, -127
     try:
         of_bytes = byte_product()
-        if not np.array_equal(of_bytes(cells, cells), float_product(cells, cells)):
+        if not is_exact(of_bytes):
             return float_product
     except (SetupError, RuntimeError):  # this ONNX Runtime lacks the product
         return float_product
+    cells = _trial()
     return min((of_bytes, float_product), key=lambda product: _seconds(lambda: product(cells, cells)))
+
+
+def is_exact(product: Product) -> bool:
+    """Whether the largest are right: without instructions for bytes, sums of two products may saturate at 16 bits."""
+    cells = _trial()
+    return np.array_equal(product(cells, cells), cells.astype(np.int64) @ cells.astype(np.int64).T)
 
 
 def byte_product() -> Product:
@@ -56,6 +60,13 @@ def byte_product() -> Product:
         return products
 
     return product
+
+
+def _trial() -> Int8s:
+    """Vectors with the largest products among them, int8 of shape (cells, dimensions)."""
+    cells = np.random.default_rng(0).integers(-127, 128, (CELLS, DIMENSIONS), np.int8)
+    cells[0], cells[1] = 127, -127
+    return cells
 
 
 def _seconds(work: Callable[[], object]) -> float:

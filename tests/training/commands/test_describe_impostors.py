@@ -109,7 +109,9 @@ def test_the_command_writes_what_the_service_reads(tmp_path: Path) -> None:
     assert made is not None
     assert shipped is not None
     assert made.placeless == len(made.full)
-    np.testing.assert_array_equal(made.full, shipped.full[: shipped.placeless : OF_A_KIND])
+    off = np.abs(made.full.astype(int) - shipped.full[: shipped.placeless : OF_A_KIND])
+    assert off.max() <= 1  # where another processor rounds the other way
+    assert np.count_nonzero(off) < off.size / 10_000
 
 
 def test_photographs_are_places_elsewhere_in_the_mirror(tmp_path: Path) -> None:

@@ -170,5 +170,7 @@ class TestShippedWeights:
         assert sum(tensor.numel() for part in (network, first, *others) for tensor in part.parameters()) < 10_000_000
         sizes = {path.name: path.stat().st_size for path in WEIGHTS.iterdir()}
         open_weights = sum(size for name, size in sizes.items() if name.startswith("compact-open"))
-        assert 0 < open_weights < 7_000_000  # an encoder of its own, beside the one that has an ensemble
         assert sum(sizes.values()) - open_weights < 25_000_000
+        impostors = sizes.pop("compact.impostors.safetensors"), sizes.pop("compact-open.impostors.safetensors")
+        assert 0 < max(impostors) < 2_800_000
+        assert 0 < open_weights - impostors[1] < 6_000_000  # an encoder of its own, beside the one with an ensemble
