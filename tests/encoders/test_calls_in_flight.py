@@ -23,7 +23,7 @@ from worker.encoders.inference_client import FailedImage
 
 __all__ = ["local", "server"]
 
-EIGHT = [Image.of(drawn(64, 48, seed)) for seed in range(8)]
+EIGHT = [Image.of(drawn(64, 16, seed)) for seed in range(8)]
 SENT_FIRST = resized(EIGHT[0].pixels)
 FIRST_HALF = 4
 PATIENCE_S = 8.0
