@@ -18,3 +18,15 @@ def until(true: Callable[[], T | None], patience_s: float = PATIENCE_S) -> T:
         assert time.monotonic() < end, f"not true within {patience_s:.0f} s"
         time.sleep(0.01)
     return found
+
+
+def advanced(look: Callable[[], T], done: Callable[[T], bool], patience_s: float = PATIENCE_S) -> T:
+    """What `look` returns once it is `done`: that may take any time while it changes; fails once it stands still."""
+    seen = look()
+    end = time.monotonic() + patience_s
+    while not done(seen):
+        assert time.monotonic() < end, f"unchanged for {patience_s:.0f} s: {seen}"
+        time.sleep(0.02)
+        if (now := look()) != seen:
+            seen, end = now, time.monotonic() + patience_s
+    return seen

@@ -14,7 +14,7 @@ from schemas.inference import Tensor
 from tests.encoders.inference_server import Handler, InferenceServer, says
 from tests.encoders.test_shared import local, server
 from tests.sample_images import drawn
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 from worker.description.scheduler import Scheduler, field_alone
 from worker.encoders.compact.encoder import CompactEncoder
 from worker.encoders.compact.input_size import resized
@@ -26,13 +26,11 @@ __all__ = ["local", "server"]
 EIGHT = [Image.of(drawn(64, 16, seed)) for seed in range(8)]
 SENT_FIRST = resized(EIGHT[0].pixels)
 FIRST_HALF = 4
-PATIENCE_S = 8.0
-"""Less than the client's own."""
 
 
 @pytest.fixture
 def shared(server: InferenceServer) -> Iterator[SharedCompactEncoder]:
-    one = SharedCompactEncoder(server.url, None, 4 * PATIENCE_S)
+    one = SharedCompactEncoder(server.url, None, 4 * PATIENCE_S)  # more than what holds its calls
     server.received.clear()
     yield one
     one.close()

@@ -25,13 +25,13 @@ from tests.encoders.inference_server import (
     trickles,
 )
 from tests.sample_images import drawn
+from tests.waiting import PATIENCE_S
 from worker.encoders.choosing import batch_of, make_encoder, patience_of
 from worker.encoders.compact.encoder import CompactEncoder, weights_named
 from worker.encoders.compact.ensemble import digest_of
 from worker.encoders.compact.shared import SharedCompactEncoder
 from worker.encoders.inference_client import FailedImage, InferenceClient
 
-PATIENCE_S = 30.0
 SIZES = ((640, 480), (640, 480), (300, 400), (97, 97), (64, 48))
 
 

@@ -21,6 +21,7 @@ from app.http.application import create_app
 from scenes import scene
 from schemas.settings import Settings
 from tests import sample_images
+from tests.waiting import PATIENCE_S
 from worker.runtime import build
 
 EncoderName = Literal["color", "compact"]
@@ -68,8 +69,6 @@ STAGES = {
 """Calls of a query in their order, at which it can be interrupted: (part of the runtime, method)."""
 
 DENSE = {"similarity": "similarity", "median_similarity": "median_similarity", "p85_similarity": "p85_similarity"}
-
-PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from PIL import Image as PilImage
 from schemas.errors import BadImage, BodyTooLarge, Busy, Unavailable
 from tests.conftest import ROOT
 from tests.sample_images import drawn, encoded, photo
+from tests.waiting import until
 from worker.description.priority import step_aside
 from worker.images.apart import process as process_module
 from worker.images.apart.pool import DecoderPool
@@ -213,10 +214,7 @@ def test_decoders_end_with_a_service_that_is_killed() -> None:
         children = [int(word) for word in parent.stdout.readline().split()]
         assert len(children) == 2
         parent.kill()
-    until = time.monotonic() + 30
-    while any(map(alive, children)) and time.monotonic() < until:
-        threading.Event().wait(0.02)
-    assert not any(map(alive, children))
+    until(lambda: not any(map(alive, children)))
 
 
 def alive(pid: int) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 
 from tests.sample_images import drawn, encoded
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, advanced
 
 ZIP = {"content-type": "application/zip"}
 
@@ -31,16 +31,9 @@ def photos(count: int, size: int = 64) -> dict[str, bytes | str]:
 
 def ended(client: httpx.Client, job_id: str) -> dict[str, Any]:
     """The job once it has ended: it may take any time while it advances."""
-    seen: tuple[object, ...] = ()
-    until = time.monotonic() + PATIENCE_S
-    while time.monotonic() < until:
-        job: dict[str, Any] = client.get(f"/jobs/{job_id}").json()
-        if job["state"] not in ("waiting", "running"):
-            return job
-        if (job["state"], job["progress"]) != seen:
-            seen, until = (job["state"], job["progress"]), time.monotonic() + PATIENCE_S
-        time.sleep(0.02)
-    raise AssertionError(f"the job no longer advances: {job}")
+    return advanced(
+        lambda: client.get(f"/jobs/{job_id}").json(), lambda job: job["state"] not in ("waiting", "running")
+    )
 
 
 def is_emptied(folder: Path, within_s: float = PATIENCE_S) -> bool:

@@ -16,6 +16,7 @@ from tests.sample_images import photo
 from tests.storage.databases import postgres_schema
 from tests.storage.object_store import ObjectStore
 from tests.stories.running import RunningService, worker
+from tests.waiting import until
 
 pytestmark = pytest.mark.one_database("it has databases of its own")
 
@@ -40,11 +41,8 @@ def nodes(stack: ExitStack, tmp_path: Path, there: dict[str, str]) -> list[httpx
 
 
 def until_ready(*clients: httpx.Client) -> None:
-    deadline = time.monotonic() + 60
     for client in clients:
-        while client.get("/readyz").status_code != 200:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        until(lambda client=client: client.get("/readyz").status_code == 200)  # type: ignore[misc]
 
 
 def enrolled(client: httpx.Client, number: int) -> str:

@@ -1,7 +1,6 @@
 """A recording is imported at once, though the views of a map are being compared in the background."""
 
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,9 +11,8 @@ from schemas.records import ViewAttributes
 from tests.sample_images import photo
 from tests.stories.importing import photos, zipped
 from tests.stories.running import settings
+from tests.waiting import PATIENCE_S, until
 from worker.runtime import build
-
-PATIENCE_S = 60
 
 
 def test_a_portion_of_comparisons_ends_when_a_job_waits(tmp_path: Path) -> None:
@@ -59,10 +57,7 @@ def test_an_import_ends_the_rest_between_comparisons(tmp_path: Path, monkeypatch
         upload.write(zipped(photos(3)))
         assert runtime.services.imports.check(upload, ImportOptions()) == 3
         job = runtime.services.imports.accept(upload, "town", ImportOptions())
-        until = time.monotonic() + PATIENCE_S
-        while runtime.store.jobs.get(job.id).state != "done":
-            assert time.monotonic() < until
-            time.sleep(0.02)
+        until(lambda: runtime.store.jobs.get(job.id).state == "done")
         assert woken.is_set()
     finally:
         runtime.stop()

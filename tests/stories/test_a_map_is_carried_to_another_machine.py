@@ -1,6 +1,5 @@
 """A map is written to a file while the service works, carried elsewhere, and answers there as it did."""
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from app.http.application import create_app
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.importing import ended
 from tests.stories.running import settings
 from worker.runtime import build
 
@@ -49,10 +49,7 @@ def snapshot(client: CheckedClient, name: str = "campus") -> tuple[str, bytes]:
     """Id and bytes of a new snapshot."""
     started = client.post(f"/maps/{name}/snapshots")
     assert started.status_code == 202, started.text
-    until = time.monotonic() + 30
-    while (job := client.get(started.headers["location"]).json())["state"] in ("waiting", "running"):
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    job = ended(client, started.json()["id"])
     assert (job["state"], job["result"]["snapshot"]) == ("done", job["id"]), job
     file = client.get(f"/snapshots/{job['id']}")
     assert len(file.content) == int(file.headers["content-length"]) == job["result"]["bytes"]

@@ -5,7 +5,6 @@ asked, taken back, and carried to another machine with the other database, where
 """
 
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from tests.sample_images import encoded
 from tests.storage.databases import postgres_schema
 from tests.stories.importing import ZIP, ended, zipped
 from tests.stories.running import RunningService
+from tests.waiting import until
 
 pytestmark = pytest.mark.one_database("it has databases of its own")
 
@@ -100,13 +100,9 @@ class Life:
 
     def settled(self) -> dict[str, Any]:
         """The map, once every view is described."""
-        until = time.monotonic() + 60
-        while time.monotonic() < until:
-            facts: dict[str, Any] = self.client.get("/maps/town").json()
-            if facts["views"]["pending"] == 0:
-                return facts
-            time.sleep(0.05)
-        raise AssertionError(f"the map does not settle: {facts['views']}")
+        until(lambda: self.client.get("/maps/town").json()["views"]["pending"] == 0)
+        facts: dict[str, Any] = self.client.get("/maps/town").json()
+        return facts
 
     def answers_now(self) -> dict[str, Any]:
         """Answers to a photo of each place, and of one that nobody has seen, without what differs from call to call."""

@@ -2,7 +2,6 @@
 
 import io
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from PIL import Image as PilImage
 from scenes import scene
 from tests.stories.photos import photo
 from tests.stories.running import RunningService
+from tests.waiting import until
 
 JPEG = {"content-type": "image/jpeg"}
 ROOMS = ("mill lane", "station road", "rose garden", "market street")
@@ -102,11 +102,6 @@ def test_a_kill_between_description_and_removal_leaves_nothing_after_the_next_st
         one.post("/enroll?map=home&wait=false", files=images)
         service.signal(signal.SIGKILL)
     with RunningService(tmp_path) as service, httpx.Client(base_url=service.url, timeout=60) as one:
-        known = one.get("/maps/home").json()["views"]
-        ended = time.monotonic() + 60
-        while known["pending"] and time.monotonic() < ended:
-            time.sleep(0.05)
-            known = one.get("/maps/home").json()["views"]
-        assert known["pending"] == 0
+        until(lambda: one.get("/maps/home").json()["views"]["pending"] == 0)
     with RunningService(tmp_path):
         assert kept(tmp_path) == []

@@ -1,7 +1,6 @@
 """A place is matched ever less, week by week; the map's health says so, with the photo that would refresh it."""
 
 import hashlib
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -18,8 +17,10 @@ from schemas.enrolment import EnrolmentOptions
 from schemas.image import ImageFacts
 from schemas.records import Position, ViewAttributes
 from tests.openapi import CheckedClient
+from tests.stories.importing import ended
 from tests.stories.photos import photo
 from tests.stories.running import settings
+from tests.waiting import until
 from worker.runtime import Runtime, build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -56,19 +57,12 @@ class Town:
     def snapshot(self) -> bytes:
         """The map as a file."""
         job = self.client.post(f"{self.path}/snapshots").json()
-        until = time.monotonic() + 60
-        while job["state"] in ("waiting", "running"):
-            assert time.monotonic() < until
-            time.sleep(0.02)
-            job = self.client.get(f"/jobs/{job['id']}").json()
+        job = ended(self.client, job["id"])
         return bytes(self.client.get(f"/snapshots/{job['result']['snapshot']}").content)
 
     def settle(self) -> None:
         """Wait until all views are described."""
-        until = time.monotonic() + 60
-        while self.client.get(self.path).json()["views"]["pending"]:
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        until(lambda: not self.client.get(self.path).json()["views"]["pending"])
 
     def keep(self, count: int) -> None:
         assert self.client.patch(self.path, json={"keep_matches": count}).status_code == 200

@@ -17,6 +17,7 @@ from lab.faults.heics import heics
 from tests.sample_images import drawn, encoded, photo
 from tests.stories.importing import ZIP, ended, is_emptied, photos, zipped
 from tests.stories.running import RunningService
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -120,11 +121,8 @@ def test_an_import_is_cancelled_and_what_it_enrolled_stays(client: httpx.Client,
 
     assert (cancelled["state"], cancelled["failure"]["code"]) == ("cancelled", "cancelled")
     assert not any((service.data / "imports").iterdir())
-    until = time.monotonic() + 30
-    while (views := client.get("/maps/long").json()["views"])["pending"] and time.monotonic() < until:
-        time.sleep(0.05)
-    assert views["pending"] == 0
-    assert views["ready"] < 300
+    until(lambda: client.get("/maps/long").json()["views"]["pending"] == 0)
+    assert client.get("/maps/long").json()["views"]["ready"] < 300
     assert sent(client, "after", photos(1))["state"] == "done"
 
 

@@ -2,8 +2,6 @@
 
 import logging
 import math
-import threading
-import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -20,6 +18,7 @@ from scenes import scene
 from schemas.errors import Damaged
 from tests.stories.photos import jpeg
 from tests.stories.running import settings
+from tests.waiting import until
 from worker.runtime import Runtime, build
 from worker.storage.tables import (
     APPEARANCES,
@@ -98,15 +97,14 @@ class Town:
 
     def settle(self, view_id: str) -> dict[str, Any]:
         """Wait until a view that was set aside is described again; one failed for good fails the test."""
-        until = time.monotonic() + 60
-        while True:
+
+        def ready() -> bool:
             waiting = self.runtime.store.jobs.count_waiting(redescriptions=True)  # first: the last one ends meanwhile
             record = self.runtime.store.views.get(view_id)
-            if record.state == "ready":
-                break
-            assert waiting, record.failure
-            assert time.monotonic() < until, record.failure
-            threading.Event().wait(0.02)
+            assert waiting or record.state == "ready", record.failure
+            return record.state == "ready"
+
+        until(ready)
         body: dict[str, Any] = self.client.get(f"/views/{view_id}").json()
         return body
 
@@ -189,10 +187,7 @@ def test_a_view_whose_image_is_damaged_as_well_stays_failed_and_says_so(town: To
     (town.data / "pictures" / digest[:2] / digest[2:4] / digest).write_bytes(b"")
     town.damage(CELLS, f"seq = {seq}", body=flipped(body_of(town, CELLS, seq)))
     assert sorted(town.found("rose garden")) == sorted(set(NAMES) - {"rose garden"})
-    until = time.monotonic() + 60
-    while town.runtime.store.jobs.count_waiting(redescriptions=True):
-        assert time.monotonic() < until
-        threading.Event().wait(0.02)
+    until(lambda: not town.runtime.store.jobs.count_waiting(redescriptions=True))
     view = town.client.get(f"/views/{ids[1]}").json()
     assert (view["state"], view["failure"]["code"]) == ("failed", "damaged")
     assert "is empty; enrol the image again" in view["failure"]["detail"]

@@ -1,6 +1,5 @@
 """An answer says what to do with it: matched, or why not, against which rival, and what would help."""
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,13 +12,13 @@ from scenes.building import BuildingKind
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
+from tests.waiting import advanced
 from worker.runtime import build
 
 pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
 
 JPEG = {"content-type": "image/jpeg"}
 PLACES = ("mill lane", "station road", "rose garden", "market street", "castle park", "school lane")
-PATIENCE_S = 120
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +42,10 @@ def query(client: CheckedClient, map_name: str, taken: bytes, **more: Any) -> di
 
 def settled(client: CheckedClient, map_name: str) -> dict[str, Any]:
     """The facts of a map once all its views are compared with one another."""
-    until = time.monotonic() + PATIENCE_S
-    while True:
-        facts: dict[str, Any] = client.get(f"/maps/{map_name}").json()
-        if facts["decision"]["views_compared"] == facts["views"]["ready"]:
-            return facts
-        assert time.monotonic() < until, facts["decision"]
-        time.sleep(0.1)
+    return advanced(
+        lambda: client.get(f"/maps/{map_name}").json(),
+        lambda facts: facts["decision"]["views_compared"] == facts["views"]["ready"],
+    )
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """Who makes other labels dynamic sees first what that would leave out, and gets no less than was said."""
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,12 @@ import pytest
 from app.http.application import create_app
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
+from tests.stories.importing import ended
 from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 PERCENT = (0, 20, 50, 80, 100)
-PATIENCE_S = 60
 
 
 def enrolled(client: CheckedClient, preset: str) -> None:
@@ -56,10 +55,7 @@ def test_a_preview_is_kept(tmp_path: Path, preset: str) -> None:
         said = {one["view"]["place"]: one["share"] for one in preview["most"]}
 
         job = client.post("/maps/m/recipe", json={"preset": preset, "dynamic": wanted}).json()
-        until = time.monotonic() + PATIENCE_S
-        while client.get(f"/jobs/{job['id']}").json()["state"] not in ("done", "failed"):
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        assert ended(client, job["id"])["state"] in ("done", "failed")
         views = client.get("/views?map=m").json()["views"]
         failed = [view["place"] for view in views if view["state"] == "failed"]
         assert len(failed) == preview["nothing_left"] == sum(share == 1 for share in said.values())

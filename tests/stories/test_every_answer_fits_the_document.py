@@ -1,6 +1,5 @@
 """The real service, called on every route: each answer is held against the OpenAPI document by the client itself."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from app.http.application import create_app
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
 from tests.stories.running import settings
+from tests.waiting import until
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -79,9 +79,7 @@ def test_an_image_that_nobody_waits_for_and_a_call_that_is_repeated(client: Chec
     assert (first.status_code, again.content, again.headers["idempotent-replayed"]) == (202, first.content, "true")
     assert enroll(client, 4, "wait=false", **{"idempotency-key": "k1"}).status_code == 422
 
-    until = time.monotonic() + 30
-    while client.get(first.headers["location"]).json()["state"] != "done":
-        assert time.monotonic() < until
+    until(lambda: client.get(first.headers["location"]).json()["state"] == "done")
     assert client.delete(first.headers["location"]).status_code == 409
 
 

@@ -9,11 +9,11 @@ import pytest
 from tests.sample_images import photo
 from tests.storage.object_store import ObjectStore
 from tests.stories.running import RunningService
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.one_database("a fleet on PostgreSQL has its images in such a store in four other stories")
 
 JPEG = {"content-type": "image/jpeg"}
-PATIENCE_S = 30.0
 
 
 def until(client: httpx.Client, status: int) -> httpx.Response:

@@ -11,13 +11,13 @@ import pytest
 from schemas.records import ViewAttributes
 from schemas.settings import Settings
 from tests.sample_images import drawn, encoded
+from tests.waiting import PATIENCE_S
 from worker.images import drawing
 from worker.runtime import Runtime, build
 
 pytestmark = pytest.mark.one_database("it is about what is drawn")
 
 PHOTO = encoded(drawn(320, 240, 0), "jpeg")
-PATIENCE_S = 60
 
 
 @pytest.fixture(scope="module")

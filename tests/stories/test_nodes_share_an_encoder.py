@@ -16,9 +16,10 @@ import httpx
 import pytest
 
 from scenes import scene
-from tests.stories.importing import ZIP, zipped
+from tests.stories.importing import ZIP, ended, zipped
 from tests.stories.photos import photo
 from tests.stories.running import RunningEncoder, RunningService
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.one_database("the encoder is elsewhere, not the database")
 
@@ -87,10 +88,10 @@ def until_all(client: httpx.Client, views: list[str], state: str, within_s: floa
 
 
 def until_ready(client: httpx.Client, *, ready: bool = True) -> Any:
-    until = time.monotonic() + 60
+    until = time.monotonic() + PATIENCE_S
     while (answer := client.get("/readyz")).status_code != (200 if ready else 503):
         assert time.monotonic() < until, answer.text
-        time.sleep(0.1)
+        time.sleep(0.05)
     return answer.json()
 
 
@@ -236,10 +237,7 @@ def test_drawings_and_what_is_blurred_come_from_the_encoder_and_nothing_is_store
     assert len(list((tmp_path / "a" / "pictures").rglob("*.*"))) == 2  # nothing was stored that was not blurred
 
     stack.enter_context(encoder(port))
-    until = time.monotonic() + 60
-    while (told := client.get(f"/jobs/{job['id']}").json())["state"] in ("queued", "running"):
-        assert time.monotonic() < until, told
-        time.sleep(0.1)
+    told = ended(client, job["id"])
     assert (told["state"], told["result"]["enrolled"], told["result"]["failed"]) == ("done", 1, 0)
 
 

@@ -1,6 +1,5 @@
 """A map of the day is queried at night: what matches by little is proposed, and taken only where two photos agree."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from tests.openapi import CheckedClient
 from tests.stories.full_queues import full_at_the_second_image
 from tests.stories.photos import photo
 from tests.stories.running import settings
+from tests.waiting import until
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -51,10 +51,7 @@ class Town:
 
     def settle(self) -> None:
         """Wait until all views are described."""
-        until = time.monotonic() + 30
-        while self.client.get("/maps/town").json()["views"]["pending"]:
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        until(lambda: not self.client.get("/maps/town").json()["views"]["pending"])
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from schemas.errors import DiskFull, SetupError
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import settings
+from tests.waiting import PATIENCE_S
 from worker.description.describers import Describers
 from worker.encoders.color import ColorEncoder
 from worker.runtime import Runtime, build
@@ -49,7 +50,7 @@ def until(client: CheckedClient, ready: bool) -> Any:
         assert answer.status_code == (200 if answer.json()["ready"] else 503)
         return answer.json()
 
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE_S
     while (answer := probe())["ready"] is not ready:
         assert time.monotonic() < deadline, f"still {answer}"
         time.sleep(0.02)

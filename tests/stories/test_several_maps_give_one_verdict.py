@@ -1,6 +1,5 @@
 """The floors of a house are maps of their own; who does not know the floor asks them all, and gets one verdict."""
 
-import time
 from typing import Any
 
 import httpx
@@ -9,11 +8,11 @@ import pytest
 from scenes import building
 from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
+from tests.waiting import advanced
 
 JPEG = {"content-type": "image/jpeg"}
 HOUSE = building(seed=3, floors=2, spots=3, kind="lobby")
 BOTH = "floor1,floor2"
-PATIENCE_S = 120
 
 
 @pytest.fixture(scope="module")
@@ -29,11 +28,11 @@ def client(tmp_path_factory: pytest.TempPathFactory, database: str) -> Any:
 
 def settled(client: httpx.Client, *maps: str) -> None:
     """Wait until all views of some maps are compared with one another."""
-    until = time.monotonic() + PATIENCE_S
     for name in maps:
-        while (facts := client.get(f"/maps/{name}").json())["decision"]["views_compared"] < facts["views"]["ready"]:
-            assert time.monotonic() < until, facts["decision"]
-            time.sleep(0.1)
+        advanced(
+            lambda name=name: client.get(f"/maps/{name}").json(),  # type: ignore[misc]
+            lambda facts: facts["decision"]["views_compared"] == facts["views"]["ready"],
+        )
 
 
 def query(client: httpx.Client, taken: bytes, **parameters: Any) -> dict[str, Any]:

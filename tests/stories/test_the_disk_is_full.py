@@ -15,6 +15,7 @@ from tests.failing_writes import failing_writes
 from tests.sample_images import drawn, encoded
 from tests.stories.importing import ZIP, is_emptied, zipped
 from tests.stories.running import RunningService
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
 
@@ -53,7 +54,7 @@ def serving(disk: Path, **environment: str) -> Iterator[tuple[RunningService, ht
 
 def until(client: httpx.Client, true: Any) -> Any:
     """Wait until the readiness is so; the readiness."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         readiness = client.get("/readyz").json()
         if true(readiness):
@@ -71,7 +72,7 @@ def is_not_ready(readiness: Any) -> bool:
 
 
 def await_nothing_pending(client: httpx.Client) -> dict[str, int]:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         views: dict[str, int] = client.get("/maps/default").json()["views"]
         if views["pending"] == 0:

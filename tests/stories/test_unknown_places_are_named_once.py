@@ -1,6 +1,5 @@
 """The inbox: photos of places that a map lacks come back as a short list, and the owner names each once."""
 
-import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from tests.openapi import CheckedClient
 from tests.sample_images import encoded
 from tests.stories.full_queues import full_at_the_second_image
 from tests.stories.running import settings
+from tests.waiting import until
 from worker.runtime import Runtime, build
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.tables import KEPT_QUERIES
@@ -173,10 +173,7 @@ def test_a_name_that_was_refused_half_way_is_taken_when_it_is_sent_again(
 
 
 def wait_until_described(town: Town, views: int) -> None:
-    until = time.monotonic() + 30
-    while town.client.get("/maps/town").json()["views"]["ready"] < views:
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    until(lambda: town.client.get("/maps/town").json()["views"]["ready"] >= views)
 
 
 def test_a_name_is_checked_before_anything_is_enrolled(town: Town) -> None:

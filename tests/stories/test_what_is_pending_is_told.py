@@ -12,11 +12,10 @@ from app.http.application import create_app
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import settings
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
-PATIENCE_S = 20.0
 
 
 def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
