@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from app.cli.filters import add_filter_options, filters_of
 from app.cli.options import Verbs, add_service_options, json_object, service_of
-from app.cli.output import DONE, say, show, show_json, size, table, wrong_use
+from app.cli.output import DONE, say, show, show_json, size, table, write_file, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -163,7 +163,7 @@ def _draw(revisit: "Revisit", view_id: str, files: Mapping[str, Path | None]) ->
     }
     for kind, path in files.items():
         if path is not None:
-            path.write_bytes(draw[kind](view_id))
+            write_file(path, draw[kind](view_id))
             say(f"{kind}: {path}")
 
 

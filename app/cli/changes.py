@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.options import Verbs, add_service_options, service_of
-from app.cli.output import DONE, say, show, show_json, table
+from app.cli.output import DONE, say, show, show_json, table, write_file
 
 if TYPE_CHECKING:
     from revisit_client.wire import Changes, Spot
@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     with service_of(arguments) as revisit:
         changes = revisit.changes(arguments.view, arguments.since)
         if arguments.drawing is not None:
-            arguments.drawing.write_bytes(revisit.draw_changes(arguments.view, arguments.since))
+            write_file(arguments.drawing, revisit.draw_changes(arguments.view, arguments.since))
             say(f"changes: {arguments.drawing}")
     if arguments.json:
         show_json(changes)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import demo_images, images
 from app.cli.options import Verbs
-from app.cli.output import DONE, FAILED, Failure, progress_bar, say, show, show_json, table, wrong_use
+from app.cli.output import DONE, FAILED, Failure, progress_bar, say, show, show_json, table, write_file, wrong_use
 from app.cli.service import started
 
 if TYPE_CHECKING:
@@ -168,9 +168,9 @@ def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[li
             if answer is not None and answer.matches:
                 view = answer.matches[0].view.id
                 name = f"{number:02d}-{query.path.stem}"
-                (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
-                (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True, legend=True))
-                (folder / f"{name}-graph.png").write_bytes(revisit.graph(view, legend=True))
+                write_file(folder / f"{name}-why.png", revisit.explanation(answer.query.id))
+                write_file(folder / f"{name}-labels.png", revisit.segmentation(view, overlay=True, legend=True))
+                write_file(folder / f"{name}-graph.png", revisit.graph(view, legend=True))
             step(query.path.name)
     path = shlex.quote(str(material.queries[0].path))
     call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.options import Verbs, add_service_options, json_object, service_of
-from app.cli.output import DONE, Failure, say, show, show_json, table, wrong_use
+from app.cli.output import DONE, Failure, say, show, show_json, table, write_file, wrong_use
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -164,7 +164,7 @@ def _dismiss(
 def _save(revisit: "Revisit", name: str, folder: Path, unknown: "UnknownPlaces", proposals: "Proposals") -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for spot in unknown.places:
-        (folder / f"{spot.id}.jpg").write_bytes(revisit.unknown_image(name, spot.id))
+        write_file(folder / f"{spot.id}.jpg", revisit.unknown_image(name, spot.id))
     for one in proposals.proposals:
-        (folder / f"{one.id}.jpg").write_bytes(revisit.proposal_image(name, one.id))
+        write_file(folder / f"{one.id}.jpg", revisit.proposal_image(name, one.id))
     say(f"{len(unknown.places) + len(proposals.proposals)} images in {folder}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import images
 from app.cli.options import Verbs, add_service_options, service_of
-from app.cli.output import DONE, progress_bar, say, show, show_json, wrong_use
+from app.cli.output import DONE, progress_bar, say, show, show_json, write_file, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client.loops import Keyframe, LoopCloser
@@ -132,7 +132,7 @@ def _write(arguments: argparse.Namespace, closer: "LoopCloser") -> None:
         (arguments.csv, csv(closer.loops, closer.keyframes)),
     ):
         if file is not None:
-            file.write_text(text)
+            write_file(file, text.encode())
             say(f"written: {file} ({len(closer.keyframes)} keyframes)")
 
 

@@ -2,10 +2,13 @@
 
 import codecs
 import json
+import os
 import sys
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import count
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 if TYPE_CHECKING:
@@ -48,6 +51,37 @@ def show_json(value: Any) -> None:
     """Print a result on stdout as JSON; it may be a model, or have some in it."""
     escaped = _encoding(sys.stdout) != "utf-8"  # a letter that the terminal does not have is \u00e9 in JSON alone
     print(_printable(json.dumps(value, indent=2, ensure_ascii=escaped, default=_plain), sys.stdout), flush=True)
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file: all of it, or what was there before stays.
+
+    Only what cannot be replaced is written in place: a device or a pipe, such as /dev/stdout, and a file in a folder
+    that takes no new ones.
+
+    Raises
+    ------
+    OSError
+        With the path as its file name.
+    """
+    target = path.resolve()  # a symbolic link stays one
+    exists = path.exists()
+    replaceable = path.is_file() and os.access(target, os.W_OK) and os.access(target.parent, os.W_OK)
+    unfinished = target.with_name(f".{uuid.uuid4().hex}.unfinished")
+    try:
+        if (exists and not replaceable) or str(path.absolute().parent) in ("/dev", "/dev/fd"):
+            path.write_bytes(content)
+            return
+        try:
+            with unfinished.open("xb") as file:
+                file.write(content)
+            if exists:
+                unfinished.chmod(target.stat().st_mode & 0o777)
+            unfinished.replace(target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _plain(value: object) -> Any:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from app.cli.changes import changes_text
 from app.cli.filters import add_filter_options, filters_of
 from app.cli.options import Verbs, add_service_options, service_of
-from app.cli.output import DONE, say, show, show_json, table
+from app.cli.output import DONE, say, show, show_json, table, write_file
 
 if TYPE_CHECKING:
     from revisit_client.wire import Match, Position, QueryAnswer
@@ -65,10 +65,10 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             show(answer_text(answer))
         if arguments.explain is not None and answer.matches:
-            arguments.explain.write_bytes(revisit.explanation(answer.query.id))
+            write_file(arguments.explain, revisit.explanation(answer.query.id))
             say(f"explanation: {arguments.explain}")
         if answer.changes is not None and answer.changes.links:
-            arguments.changes.write_bytes(revisit.draw_changes_of_query(answer.query.id))
+            write_file(arguments.changes, revisit.draw_changes_of_query(answer.query.id))
             say(f"changes: {arguments.changes}")
     return DONE
 
