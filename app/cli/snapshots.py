@@ -164,11 +164,11 @@ def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
     if arguments.name is not None and not re.fullmatch(MAP_NAME, arguments.name):
         wrong_use(f"--as {arguments.name!r} is no name of a map: letters, digits, . _ -, at most 64")
     settings = settings_of(arguments, "data")
-    with arguments.file.open("rb"):  # a mistyped file makes no data folder
-        pass
     from worker.storage.locks import lock_for_serving
+    from worker.storage.snapshot_files import SnapshotReader
     from worker.storage.store import open_store
 
+    SnapshotReader(arguments.file).facts()  # a mistyped file makes no data folder
     settings.data.mkdir(parents=True, exist_ok=True)
     try:  # a service that starts meanwhile would take what is half restored for what a crash left
         lock = lock_for_serving(settings.data, datetime.now(UTC))

@@ -97,11 +97,14 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path, capsys: Out) -> None:
     assert "none" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["nothing", "."])
-def test_a_file_that_cannot_be_read_makes_no_data_folder(tmp_path: Path, name: str, capsys: Out) -> None:
+@pytest.mark.parametrize(
+    ("name", "told"), [("nothing", "{path}: "), (".", "{path}: "), ("photo.jpg", "the snapshot is refused")]
+)
+def test_a_file_that_is_no_snapshot_makes_no_data_folder(tmp_path: Path, name: str, told: str, capsys: Out) -> None:
+    (tmp_path / "photo.jpg").write_bytes(b"a photo")
     data = tmp_path / "data"
     assert main(["restore", str(tmp_path / name), "--data", str(data)]) == 1
-    assert capsys.readouterr().err.startswith(f"revisit: {tmp_path / name}: ")
+    assert capsys.readouterr().err.startswith(f"revisit: {told.format(path=tmp_path / name)}")
     assert not data.exists()
 
 
