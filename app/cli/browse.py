@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.filters import add_filter_options, filters_of
-from app.cli.options import Verbs, add_service_options, json_object, service_of
+from app.cli.options import Verbs, add_service_options, integer, json_object, service_of
 from app.cli.output import DONE, say, show, show_json, size, table, write_file, wrong_use
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def add(verbs: Verbs) -> None:
     add_filter_options(views)
     views.add_argument("--words", help="labels such as fence,pole+sign: views of --map by how much of them these are")
     views.add_argument("--state", choices=("pending", "ready", "failed"), help="of this state alone")
-    views.add_argument("--limit", type=int, metavar="N", help=f"at most so many (default: {LISTED})")
+    views.add_argument("--limit", type=integer, metavar="N", help=f"at most so many (default: {LISTED})")
     views.add_argument("--newest", action="store_true", help="newest first")
     views.add_argument(
         "--delete",

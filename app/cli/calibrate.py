@@ -2,14 +2,13 @@
 
 import argparse
 import csv
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.loops import OF_ONE_IMAGE
-from app.cli.options import Verbs, add_service_options, service_of
+from app.cli.options import Verbs, add_service_options, number, service_of
 from app.cli.output import DONE, Failure, progress_bar, say, show, show_json, table, wrong_use
 from schemas.values import composed
 
@@ -40,7 +39,7 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("--map", default="default", help="which map (default: default)")
     parser.add_argument(
-        "--within", type=float, default=0.0, metavar="METRES",
+        "--within", type=number, default=0.0, metavar="METRES",
         help="a first place this near a labelled position is right (at least the map's same_place_m)",
     )  # fmt: skip
     parser.add_argument("--dry-run", action="store_true", help="report, and keep nothing")
@@ -134,12 +133,9 @@ def _row(path: Path, line: int, row: Mapping[str, str | None]) -> Row:
 
 def _number(path: Path, line: int, row: Mapping[str, str | None], name: str) -> float:
     try:
-        number = float(row[name] or "")
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+        return number(row[name] or "")
+    except argparse.ArgumentTypeError:
         wrong_use(f"{path}, line {line}: {name} is {row[name]!r}, which is no number")
-    return number
 
 
 def _refuse_unknown_places(revisit: "Revisit", map_name: str, rows: list[Row]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import logs
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
-from app.cli.options import Verbs
+from app.cli.options import Verbs, integer
 from app.cli.output import Failure, show
 from app.cli.processor import check_processor
 from app.cli.serve import settings_of
@@ -26,7 +26,7 @@ def add(verbs: Verbs) -> None:
         "together in batches. It keeps nothing. Flags win over REVISIT_* variables.",
     )
     encode.add_argument("--host", help="address to listen on (default: 127.0.0.1)")
-    encode.add_argument("--port", type=int, help="port to listen on; 0 picks a free one (default: 8000)")
+    encode.add_argument("--port", type=integer, help="port to listen on; 0 picks a free one (default: 8000)")
     encode.add_argument(
         "--open",
         action="store_const",
@@ -35,7 +35,7 @@ def add(verbs: Verbs) -> None:
     )
     encode.add_argument("--encoder", choices=("compact", "compact-open"), help="network (default: compact)")
     encode.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
-    encode.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
+    encode.add_argument("--threads", type=integer, help="threads of the network (default: one per core)")
     encode.set_defaults(run=run_encode)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from app.cli import images
-from app.cli.options import Verbs, add_service_options, json_object, service_of
+from app.cli.options import Verbs, add_service_options, integer, json_object, number, service_of
 from app.cli.output import DONE, FAILED, Failure, error_text, progress_bar, say, show, show_json, wrong_use
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("--exif", action="store_true", help="take position, heading and time from the images' EXIF")
     for name, what in (("x", "metres"), ("y", "metres"), ("heading", "degrees clockwise from north, or from +y")):
-        parser.add_argument(f"--{name}", type=float, metavar="N", help=f"{what}; of all these images")
+        parser.add_argument(f"--{name}", type=number, metavar="N", help=f"{what}; of all these images")
     parser.add_argument("--metadata", metavar="JSON", help="kept with all these images")
     parser.add_argument(
         "--refuse-poor",
@@ -88,7 +88,7 @@ def add(verbs: Verbs) -> None:
         "the map already",
     )
     parser.add_argument("--dry-run", action="store_true", help="only say what would be enrolled, and with what")
-    parser.add_argument("--parallel", type=int, default=4, metavar="N", help="images sent at once (default: 4)")
+    parser.add_argument("--parallel", type=integer, default=4, metavar="N", help="images sent at once (default: 4)")
     add_service_options(parser)
     parser.set_defaults(run=run)
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from app.cli.options import number
 from app.cli.output import wrong_use
 
 _POINT = re.compile(r"-[\d.][^\s]*,\S*")
@@ -59,8 +60,8 @@ def points_joined(argv: Sequence[str]) -> list[str]:
 
 def _near(text: str) -> tuple[float, float, float]:
     try:
-        first, second, radius = (float(part) for part in text.split(","))
-    except ValueError:
+        first, second, radius = map(number, text.split(","))
+    except (ValueError, argparse.ArgumentTypeError):
         wrong_use(f"--near takes three numbers with commas between, not {text!r}")
     return first, second, radius
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from app.cli.options import Verbs, add_service_options, service_of
+from app.cli.options import Verbs, add_service_options, integer, service_of
 from app.cli.output import DONE, say, show, show_json
 
 
@@ -19,7 +19,7 @@ def add(verbs: Verbs) -> None:
         choices=("twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"),
         help="findings of this kind alone",
     )
-    parser.add_argument("--limit", type=int, metavar="N", help="at most so many of each kind (default: 20)")
+    parser.add_argument("--limit", type=integer, metavar="N", help="at most so many of each kind (default: 20)")
     add_service_options(parser)
     parser.set_defaults(run=run)
 

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.options import Verbs, add_service_options, json_object, service_of
+from app.cli.options import Verbs, add_service_options, integer, json_object, service_of
 from app.cli.output import DONE, Failure, say, show, show_json, table, write_file, wrong_use
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("map", nargs="?", default="default", help="which map (default: default)")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--keep", type=int, metavar="N", help="keep at most N queries of each kind from now on; 0: none")
+    what.add_argument(
+        "--keep", type=integer, metavar="N", help="keep at most N queries of each kind from now on; 0: none"
+    )
     what.add_argument("--name", nargs=2, metavar=("ID", "PLACE"), help="enrol the images of a spot as this place")
     what.add_argument("--accept", metavar="ID", help="take images of a proposal as views; `confirmed`: of all that are")
     what.add_argument("--dismiss", metavar="ID", help="delete the queries of a spot or of a proposal, and their images")
@@ -36,7 +38,9 @@ def add(verbs: Verbs) -> None:
         metavar="JSON",
         help='with --name: where the place is, {"x": 1.5, "y": 2.0} or {"lat": ..., "lon": ...}',
     )
-    parser.add_argument("--views", type=int, default=3, help="with --accept: images of a place at most (default: 3)")
+    parser.add_argument(
+        "--views", type=integer, default=3, help="with --accept: images of a place at most (default: 3)"
+    )
     parser.add_argument("--unconfirmed", action="store_true", help="with --accept: what no other image confirms, too")
     parser.add_argument("--images", type=Path, metavar="DIR", help="save an image of each spot and proposal there")
     add_service_options(parser)

@@ -4,7 +4,7 @@ import argparse
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from app.cli.options import Verbs, add_service_options, service_of
+from app.cli.options import Verbs, add_service_options, integer, service_of
 from app.cli.output import DONE, job_progress, say, show, show_json, table, wrong_use
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--map", help="jobs of this map")
     parser.add_argument("--kind", choices=KINDS, help="jobs of this kind")
     parser.add_argument("--state", choices=STATES, help="jobs in this state")
-    parser.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
+    parser.add_argument("--limit", type=integer, default=50, metavar="N", help="at most so many (default: 50)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--follow", action="store_true", help="show the progress of the named job until it has ended")
     what.add_argument("--cancel", action="store_true", help="cancel the named job")

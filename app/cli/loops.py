@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import images
-from app.cli.options import Verbs, add_service_options, service_of
+from app.cli.options import Verbs, add_service_options, integer, number, service_of
 from app.cli.output import DONE, progress_bar, say, show, show_json, write_file, wrong_use
 
 if TYPE_CHECKING:
@@ -50,12 +50,15 @@ def add(verbs: Verbs) -> None:
         help="newest images that are no loop: a number, or those enrolled in the last seconds (20)",
     )
     parser.add_argument(
-        "--consistent", type=int, metavar="N", help="images in a row that must agree (3; with --drive they add up)"
+        "--consistent",
+        type=integer,
+        metavar="N",
+        help="images in a row that must agree (3; with --drive they add up)",
     )
-    parser.add_argument("--within", type=float, metavar="METRES", help="look no further than this from the odometry")
-    parser.add_argument("--radius", type=float, default=5.0, metavar="METRES", help="of a loop that has none (5)")
+    parser.add_argument("--within", type=number, metavar="METRES", help="look no further than this from the odometry")
+    parser.add_argument("--radius", type=number, default=5.0, metavar="METRES", help="of a loop that has none (5)")
     parser.add_argument("--drive", metavar="NAME", help="count the images together, as those of this drive")
-    parser.add_argument("--precision", type=float, metavar="P", help="share of loops that must be right")
+    parser.add_argument("--precision", type=number, metavar="P", help="share of loops that must be right")
     parser.add_argument("--g2o", type=Path, metavar="FILE", help="write the pose graph: odometry and loops")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the loops as a table")
     add_service_options(parser)
@@ -142,9 +145,9 @@ def _walk(arguments: argparse.Namespace) -> "list[tuple[Path, Keyframe]]":
 
     positions = images.Positions(arguments.positions)
     walk = []
-    for number, path in enumerate(images.find(arguments.paths)):
+    for order, path in enumerate(images.find(arguments.paths)):
         known = positions.of(path) or {}
         if "x" not in known or "y" not in known:
             wrong_use(f"{path}: {arguments.positions} says no x and y of it")
-        walk.append((path, Keyframe(number, known["x"], known["y"], known.get("heading"))))
+        walk.append((path, Keyframe(order, known["x"], known["y"], known.get("heading"))))
     return walk

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from app.cli.output import wrong_use
@@ -28,6 +29,27 @@ def service_of(arguments: argparse.Namespace) -> "Revisit":
     from revisit_client import Revisit
 
     return Revisit(arguments.url, key=arguments.key)
+
+
+def number(text: str) -> float:
+    """The number of an option, finite; raises ArgumentTypeError, also for 12_5, which Python alone reads as 125."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if "_" in text or not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number")
+    return value
+
+
+def integer(text: str) -> int:
+    """The whole number of an option; raises ArgumentTypeError, also for 1_0."""
+    try:
+        if "_" not in text:
+            return int(text)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
 
 
 def json_object(option: str, text: str | None, example: str) -> dict[str, Any] | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from app.cli.changes import changes_text
 from app.cli.filters import add_filter_options, filters_of
-from app.cli.options import Verbs, add_service_options, service_of
+from app.cli.options import Verbs, add_service_options, integer, number, service_of
 from app.cli.output import DONE, say, show, show_json, table, write_file
 
 if TYPE_CHECKING:
@@ -26,14 +26,14 @@ def add(verbs: Verbs) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--map", help="map to search (default: default)")
     where.add_argument("--maps", metavar="A,B", help="several maps to search: one verdict over all of them")
-    parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
-    parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
-    parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
+    parser.add_argument("--top", type=integer, metavar="N", help="how many matches (default: 5)")
+    parser.add_argument("--candidates", type=integer, metavar="N", help="candidates of each channel to re-rank")
+    parser.add_argument("--precision", type=number, metavar="P", help="share of `matched` that must be right")
     parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
     parser.add_argument(
-        "--drive-timeout", type=float, metavar="S", help="seconds of silence after which the drive begins anew (60)"
+        "--drive-timeout", type=number, metavar="S", help="seconds of silence after which the drive begins anew (60)"
     )
-    parser.add_argument("--consistent", type=int, metavar="N", help="images of the drive in a row that must agree")
+    parser.add_argument("--consistent", type=integer, metavar="N", help="images of the drive in a row that must agree")
     add_filter_options(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     parser.add_argument("--changes", type=Path, metavar="PNG", help="say and draw what changed since the best match")

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.cli.options import Verbs, add_service_options, json_object, service_of
+from app.cli.options import Verbs, add_service_options, integer, json_object, service_of
 from app.cli.output import DONE, job_progress, say, show, show_json, table, wrong_use
 from app.cli.shadow import show_shadow
 
@@ -44,7 +44,7 @@ def add(verbs: Verbs) -> None:
     recipe.add_argument("--ranking", metavar="JSON", help="ranking parameters that differ from the preset's")
     recipe.add_argument(
         "--shadow",
-        type=int,
+        type=integer,
         nargs="?",
         const=DEFAULT_QUERIES,
         metavar="N",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import logs
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
-from app.cli.options import Verbs
+from app.cli.options import Verbs, integer
 from app.cli.output import DONE, Failure, show
 from app.cli.processor import check_processor
 from app.cli.starting import collecting_new, collecting_nothing
@@ -32,7 +32,7 @@ def add(verbs: Verbs) -> None:
         description="Run the service until it is told to stop (Ctrl-C, SIGTERM). Flags win over REVISIT_* variables.",
     )
     serve.add_argument("--host", help="address to listen on (default: 127.0.0.1)")
-    serve.add_argument("--port", type=int, help="port to listen on; 0 picks a free one (default: 8000)")
+    serve.add_argument("--port", type=integer, help="port to listen on; 0 picks a free one (default: 8000)")
     serve.add_argument(
         "--open",
         action="store_const",
@@ -58,7 +58,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     encoders = ("compact", "compact-open", "color", "lseg")
     parser.add_argument("--encoder", choices=encoders, help="network that describes images (default: compact)")
     parser.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
-    parser.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
+    parser.add_argument("--threads", type=integer, help="threads of the network (default: one per core)")
 
 
 def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":

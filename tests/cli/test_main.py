@@ -24,6 +24,10 @@ from tests.cli.fake_service import FakeService
         ["vocabulary"],
         ["serve", "--port", "many"],
         ["query", "a.jpg", "--top", "five"],
+        ["query", "a.jpg", "--top", "1_0"],
+        ["query", "a.jpg", "--drive-timeout", "12_5"],
+        ["loops", "a.jpg", "--map", "m", "--positions", "p.csv", "--radius", "nan"],
+        ["calibrate", "labels.csv", "--map", "m", "--within", "inf"],
     ],
 )
 def test_wrong_use_is_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -177,7 +177,7 @@ def test_filters_that_say_nothing_are_wrong_use(image: Path, argv: list[str]) ->
     assert main(["query", str(image), *argv]) == 2
 
 
-@pytest.mark.parametrize("argv", [["--near", "1,2"], ["--near", "a,b,c"]])
+@pytest.mark.parametrize("argv", [["--near", "1,2"], ["--near", "a,b,c"], ["--near", "1_0,2,3"]])
 def test_a_point_needs_three_numbers(image: Path, argv: list[str]) -> None:
     assert main(["query", str(image), *argv]) == 2
 
