@@ -140,8 +140,14 @@ def run_restore(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show_json(made)
     else:
+        from schemas.settings import without_password
+
         ids = "with new ids, since some were in use" if made["new_ids"] else "with the ids they had"
-        where = f"at {arguments.url}" if arguments.url else f"in {place_of(settings_of(arguments, 'data'))}"
+        where = (
+            f"at {without_password(arguments.url)}"
+            if arguments.url
+            else f"in {place_of(settings_of(arguments, 'data'))}"
+        )
         show(f"restored the map {made['map']} {where}: {made['views']} views, {ids}")
         if made["pending"]:
             say(f"{made['pending']} of them have no description yet; the service describes them")

@@ -77,10 +77,9 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         sleep: Callable[[float], None] = time.sleep,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.url = (url or os.environ.get("REVISIT_URL") or DEFAULT_URL).rstrip("/")
         self._sleep, self._clock = sleep, clock
         self._connection = Connection(
-            self.url,
+            (url or os.environ.get("REVISIT_URL") or DEFAULT_URL).rstrip("/"),
             key=key or os.environ.get("REVISIT_KEY"),
             timeout=timeout,
             patience=patience,
@@ -88,6 +87,8 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
             sleep=sleep,
             clock=clock,
         )
+        self.url = self._connection.url
+        """Address of the service, as messages show it: without a password."""
 
     def __enter__(self) -> Self:
         return self

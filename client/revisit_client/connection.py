@@ -18,6 +18,7 @@ from revisit_client.errors import (
     problem_of,
     reason,
     retry_after,
+    without_password,
 )
 
 USER_AGENT = "revisit-client"
@@ -63,7 +64,7 @@ class Connection:
         sleep: Callable[[float], None],
         clock: Callable[[], float],
     ) -> None:
-        self.url = url
+        self.url = without_password(url)  # as messages show it
         self._patience, self._sleep, self._clock = patience, sleep, clock
         usual = httpx.Timeout(timeout, connect=min(5.0, timeout))
         # For what is answered once all that was sent is stored, in an object store say: that takes as long as it takes.
@@ -281,7 +282,9 @@ def _address(url: str) -> httpx.URL:
         if address.scheme not in ("http", "https") or not address.host:
             raise httpx.InvalidURL("it needs http:// or https:// and a host")
     except httpx.InvalidURL as error:
-        raise Unsendable(f"{url!r} is no address of a service, as http://127.0.0.1:8000 is ({error})") from None
+        raise Unsendable(
+            f"{without_password(url)!r} is no address of a service, as http://127.0.0.1:8000 is ({error})"
+        ) from None
     return address
 
 

@@ -1,6 +1,7 @@
 """Exceptions of the client."""
 
 import email.utils
+import re
 from datetime import UTC, datetime
 from typing import Any
 
@@ -8,6 +9,11 @@ import httpx
 from pydantic import ValidationError
 
 from revisit_client import wire
+
+
+def without_password(url: str) -> str:
+    """An address as messages show it: without what stands before its host, a user and a password maybe."""
+    return re.sub(r"^([a-z][a-z0-9+.-]*://)?.*@", r"\1***@", url, flags=re.IGNORECASE | re.DOTALL)
 
 
 class ClientError(Exception):

@@ -173,6 +173,8 @@ def test_the_healthcheck_looks_where_the_service_listens(
         (["maps", "--key", "a b"], "the key has letters that no key has"),
         (["maps", "--url", "http://[::1"], "'http://[::1' is no address of a service"),
         (["maps", "--url", "localhost:8000"], "'localhost:8000' is no address of a service"),
+        (["maps", "--url", "ftp://bob:secret@h"], "'ftp://***@h' is no address of a service"),
+        (["maps", "--url", "http://bob:secret@127.0.0.1:1"], "no service answers at http://***@127.0.0.1:1 ("),
         (["maps", "caf\udce9"], "'caf\\udce9' is neither a name nor an id"),
     ],
 )

@@ -306,6 +306,8 @@ def test_the_address_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("REVISIT_URL", "http://robot:9000/")
     with Revisit() as revisit:
         assert revisit.url == "http://robot:9000"
+    with Revisit("http://bob:secret@robot:9000/") as revisit:
+        assert revisit.url == "http://***@robot:9000"
 
 
 def test_a_map_is_calibrated_and_returns_to_the_shipped_calibration() -> None:
