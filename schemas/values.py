@@ -9,6 +9,11 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+SOME_ID = "^[A-Za-z0-9-]{1,64}$"
+PATTERNS_IN_WORDS = {
+    MAP_NAME: "needs 1 to 64 of A-Z, a-z, 0-9, dot, _ and -, the first a letter or digit",
+    SOME_ID: "needs 1 to 64 of A-Z, a-z, 0-9 and -",
+}
 MOST_MAPS = 16
 """Maps of one query."""
 
@@ -152,7 +157,7 @@ def every(text: object) -> tuple[float, str]:
 def identifiers(text: object) -> tuple[str, ...]:
     """Parse view ids with commas between them."""
     ids = tuple(part.strip() for part in str(text).split(","))
-    if not all(re.fullmatch(r"[A-Za-z0-9-]{1,64}", i) for i in ids):
+    if not all(re.fullmatch(SOME_ID, i) for i in ids):
         raise ValueError("needs view ids with commas between them")
     return ids
 

@@ -165,10 +165,10 @@ def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
     from datetime import UTC, datetime
 
     from schemas.errors import SetupError
-    from schemas.values import MAP_NAME
+    from schemas.values import MAP_NAME, PATTERNS_IN_WORDS
 
     if arguments.name is not None and not re.fullmatch(MAP_NAME, arguments.name):
-        wrong_use(f"--as {arguments.name!r} is no name of a map: letters, digits, . _ -, at most 64")
+        wrong_use(f"--as {arguments.name!r} is no name of a map, which {PATTERNS_IN_WORDS[MAP_NAME]}")
     settings = settings_of(arguments, "data")
     from worker.storage.locks import lock_for_serving
     from worker.storage.snapshot_files import SnapshotReader

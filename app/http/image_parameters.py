@@ -5,8 +5,9 @@ from typing import Annotated
 from pydantic import Field
 
 from app.http.validation import Parameters
+from schemas.values import SOME_ID
 
-SomeId = Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,64}$")]
+SomeId = Annotated[str, Field(pattern=SOME_ID)]
 
 
 class ExplanationParameters(Parameters):

@@ -21,6 +21,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from schemas.errors import MOST_MISTAKES, InvalidParameters, ParameterError
+from schemas.values import PATTERNS_IN_WORDS
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -150,6 +151,8 @@ def in_words(one: Mapping[str, Any], path: Sequence[str | int], known: Sequence[
         detail = f"is unknown; known are {', '.join(known)}" if known and len(path) == 1 else nested
     elif one["type"] == "missing":
         detail = "is required"
+    elif one["type"] == "string_pattern_mismatch" and one["ctx"]["pattern"] in PATTERNS_IN_WORDS:
+        detail = f"{PATTERNS_IN_WORDS[one['ctx']['pattern']]} (got {_shown(one['input'])})"
     elif one["type"] == "too_long" and isinstance(one["input"], str):
         # pydantic counts items where text went through a validator of ours.
         detail = f"needs at most {one['ctx']['max_length']} characters (got {_shown(one['input'])})"

@@ -79,10 +79,25 @@ def test_all_mistakes_of_a_url_are_listed_at_once(client: CheckedClient, method:
         f"colour is unknown; known are {known[method]}",
         "exclude was given 2 times",
         "frame is of use only with near",
-        "map String should match pattern '^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$'",
+        "map needs 1 to 64 of A-Z, a-z, 0-9, dot, _ and -, the first a letter or digit",
         "metadata.floor was given 2 times",
         "place was given 2 times",
     ]
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        (
+            "/maps/my map",
+            "map: needs 1 to 64 of A-Z, a-z, 0-9, dot, _ and -, the first a letter or digit (got 'my map')",
+        ),
+        ("/views/v1/changes?since=a b", "since: needs 1 to 64 of A-Z, a-z, 0-9 and - (got 'a b')"),
+    ],
+)
+def test_what_names_and_ids_may_have_is_said_in_words(client: CheckedClient, path: str, said: str) -> None:
+    refused = client.get(path)
+    assert (refused.status_code, refused.json()["detail"]) == (422, said)
 
 
 def test_filters_that_are_lists_of_numbers_or_ids_arrive(client: CheckedClient, recogniser: FakeRecogniser) -> None:
