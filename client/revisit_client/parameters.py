@@ -68,12 +68,19 @@ def texts(values: Mapping[str, Any]) -> dict[str, str]:
         if isinstance(value, bool):
             written[name] = "true" if value else "false"
         elif isinstance(value, datetime):
-            written[name] = wire.rfc3339(utc(value))
+            written[name] = _moment(value)
         elif isinstance(value, Mapping):
             written[name] = json.dumps(value)
         else:
             written[name] = str(value)
     return written
+
+
+def _moment(value: object) -> str:
+    """A time as text; TypeError for what is none."""
+    if not isinstance(value, datetime):
+        raise TypeError(f"{value!r} cannot be written as JSON")
+    return wire.rfc3339(utc(value))
 
 
 def filters(
@@ -99,7 +106,7 @@ def filters(
         "after": after,
         "before": before,
         "place": place,
-        "where": where,
+        "where": json.dumps(where, default=_moment) if isinstance(where, Mapping) else where,
         "exclude_last": exclude_last,
         "exclude": listed(exclude) or None,
     }

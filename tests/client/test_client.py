@@ -170,12 +170,13 @@ def test_filters_of_a_query_are_sent_as_documented() -> None:
         exclude_last=timedelta(seconds=30),
         exclude=["a", "b"],
         metadata={"floor": "2"},
-        where={"place": {"$prefix": "a/"}},
+        where={"place": {"$prefix": "a/"}, "captured_at": {"$gte": datetime(2026, 3, 1, 9, 30, tzinfo=UTC)}},
         explain=False,
     )
 
     assert answer.matches[0].view.place == "square"
-    for part in ("1.0,2.0,30.0", "geo", "30s", "a,b", 'name="metadata.floor"', "false", '{"place": {"$prefix": "a/"}}'):
+    where = '{"place": {"$prefix": "a/"}, "captured_at": {"$gte": "2026-03-01T09:30:00.000000Z"}}'
+    for part in ("1.0,2.0,30.0", "geo", "30s", "a,b", 'name="metadata.floor"', "false", where):
         assert part in bodies[0]
 
 
