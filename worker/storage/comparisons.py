@@ -92,10 +92,10 @@ class Comparisons(Part):
                 if known.get(row.id) == row.revision:  # of thousands of maps most are as they were
                     settled[row.id] = row.revision
                     continue
-                among = connection.scalar(_ready(row)) or 0
+                among = connection.scalar(_ready(), {"map": row.id, "recipe": row.recipe}) or 0
                 named = COMPARISONS.c.level.is_(None) | _has_rival(row)  # named since migration 0010
                 broad = COMPARISONS.c.gap.is_(None) | COMPARISONS.c.breadth.is_not(None)  # since migration 0017
-                fresh = (*_of(row), _current(among, SMALL * (not busy)), named, broad)
+                fresh = (*_of(row), _current(among, small=among <= SMALL and not busy), named, broad)
                 done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
                 left = min(count, min(among, sample) - done)
                 if among < 2 or left <= 0:
@@ -169,7 +169,7 @@ class Comparisons(Part):
             kept = self._levels.get(key)
             if kept is not None and kept.revision == row.revision:
                 return kept
-            described = connection.scalar(_ready(row)) or 0
+            described = connection.scalar(_ready(), {"map": row.id, "recipe": row.recipe}) or 0
             levels = _levels(connection, row, key[1], described)
         if key[1] == row.recipe:  # comparisons by another one give the map no revision
             self._levels[key] = levels
@@ -182,7 +182,7 @@ class Comparisons(Part):
         """
         with self._database.reading() as connection:
             row = find_map(connection, name)
-            described = connection.scalar(_ready(row)) or 0
+            described = connection.scalar(_ready(), {"map": row.id, "recipe": row.recipe}) or 0
             newest = sa.select(DESCRIPTIONS.c.seq).where(*_described(row)).order_by(DESCRIPTIONS.c.seq.desc())
             wanted = sa.select(VIEWS, *_compared_columns()).outerjoin(COMPARISONS, _compared_by())
             wanted = wanted.where(VIEWS.c.seq.in_(newest.limit(most)))
@@ -216,9 +216,10 @@ def _of(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
     return COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == row.recipe
 
 
-def _current(among: int, small: int) -> sa.ColumnElement[bool]:
-    """Whether a comparison still says what it would say in a map that has `among` views now."""
-    return COMPARISONS.c.among == among if among <= small else COMPARISONS.c.among * 2 > among
+def _current(among: int | sa.BindParameter[Any], *, small: bool) -> sa.ColumnElement[bool]:
+    """Whether a comparison still says what it would say in a map that has `among` views now; in a `small` one all do
+    that were made among as many."""
+    return COMPARISONS.c.among == among if small else COMPARISONS.c.among * 2 > among
 
 
 def _has_rival(row: sa.Row[Any]) -> sa.ColumnElement[bool]:
@@ -231,8 +232,15 @@ def _described(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
     return DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == row.recipe
 
 
-def _ready(row: sa.Row[Any]) -> sa.Select[Any]:
-    return sa.select(sa.func.count()).select_from(DESCRIPTIONS).where(*_described(row))
+@cache
+def _ready() -> sa.Select[Any]:
+    """Counts the described views of the map and recipe in the parameters."""
+    return sa.select(sa.func.count()).select_from(DESCRIPTIONS).where(*_by_parameters(DESCRIPTIONS))
+
+
+def _by_parameters(table: sa.Table) -> tuple[sa.ColumnElement[bool], ...]:
+    """The rows of the map and the recipe in the parameters ``map`` and ``recipe``."""
+    return table.c.map_id == sa.bindparam("map"), table.c.recipe == sa.bindparam("recipe")
 
 
 @cache
@@ -285,18 +293,29 @@ def _whole_same_spot(row: sa.Row[Any]) -> frozenset[int] | None:
         return None
 
 
-def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str, described: int) -> MapLevels:
+@cache
+def _means(*, small: bool) -> sa.Select[Any]:
+    """What the comparisons of a map that has ``described`` views say together, in one row."""
     # Within the range of scores: one damaged number must not carry the mean away.
     level, gap = (sa.case((column.between(0, 1), column)) for column in (COMPARISONS.c.level, COMPARISONS.c.gap))
     breadth = sa.case((COMPARISONS.c.breadth.between(0, 1000), COMPARISONS.c.breadth))
-    made_at = COMPARISONS.c.made_at
     means = (sa.func.avg(column) for column in (breadth, level, gap, COMPARISONS.c.others))
-    of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == recipe
-    current = sa.func.count(sa.case((_current(described, SMALL), 1)))
-    found = sa.select(sa.func.count(level), current, sa.func.max(made_at), *means).where(*of)
-    count, up_to_date, latest, broad, *mean = connection.execute(found).one()
+    current = sa.case((_current(sa.bindparam("described"), small=small), 1))
+    counts = sa.func.count(level), sa.func.count(current), sa.func.max(COMPARISONS.c.made_at)
+    return sa.select(*counts, *means).where(*_by_parameters(COMPARISONS))
+
+
+@cache
+def _own() -> sa.Select[Any]:
     whole = COMPARISONS.c.level.is_not(None), COMPARISONS.c.own.between(0, 1)
-    own = [float(value) for value in connection.scalars(sa.select(COMPARISONS.c.own).where(*of, *whole))]
+    return sa.select(COMPARISONS.c.own).where(*_by_parameters(COMPARISONS), *whole)
+
+
+def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str, described: int) -> MapLevels:
+    of = {"map": row.id, "recipe": recipe}
+    found = connection.execute(_means(small=described <= SMALL), of | {"described": described})
+    count, up_to_date, latest, broad, *mean = found.one()
+    own = [float(value) for value in connection.scalars(_own(), of)]
     level_mean, gap_mean, others = (round(float(value or 0), DECIMALS) for value in mean)
     return MapLevels(
         count,
