@@ -86,6 +86,7 @@ def _test(arguments: argparse.Namespace) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
+    _open_closed_streams()
     try:
         whole = parser()
         given = points_joined(sys.argv[1:] if argv is None else argv)
@@ -113,6 +114,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         say(f"revisit: {text}")
         return FAILED
+
+
+def _open_closed_streams() -> None:
+    """Let standard streams that were closed for this process lead nowhere: else the next files that it opens get their
+    numbers, and what is said on stderr goes to stdout."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115 (it stays open as long as the process runs)
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
 
 
 def _check_settings() -> None:

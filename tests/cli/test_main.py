@@ -208,6 +208,14 @@ def test_a_mistyped_address_calls_no_other_service(
     assert service.requests == []
 
 
+@pytest.mark.parametrize("closed", ["2>&-", "<&- 2>&-"])
+def test_what_is_said_goes_nowhere_where_stderr_is_closed(closed: str) -> None:
+    command = f'exec "$0" -m app.cli maps --url http://127.0.0.1:9 {closed}'
+    ended = subprocess.run(["sh", "-c", command, sys.executable], stdout=subprocess.PIPE, check=False)
+
+    assert (ended.returncode, ended.stdout) == (1, b"")
+
+
 def test_a_full_disk_behind_the_output_is_told_without_a_traceback(service: FakeService) -> None:
     service.replies["GET /maps"] = 200, {"maps": []}
     with Path("/dev/full").open("w") as full:
