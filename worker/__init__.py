@@ -8,6 +8,10 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# Nothing is sent anywhere: ONNX Runtime 1.31 keeps an id of the machine in the home folder and reports to its maker
+# what it loads, unless it reads this when it is first imported.
+os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+
 # A proxy is for other machines: this one's own addresses would be the proxy's there. A shared encoder, a store, a
 # receiver of webhooks and a collector of traces may all be here, and every library that calls them goes by this.
 _spared = os.environ.get("no_proxy", os.environ.get("NO_PROXY", "")).strip()
