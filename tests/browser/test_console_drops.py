@@ -18,10 +18,17 @@ def folder(tmp_path: Path) -> Path:
     return trip
 
 
-def drop(tab: Tab, path: Path, x: float, y: float) -> None:
-    """Drag a file or a folder over a point of the page, and let it go there."""
+def middle(tab: Tab, selector: str) -> tuple[float, float]:
+    """The point in the middle of an element."""
+    box = tab.page.locator(selector).bounding_box()
+    assert box
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def drop(tab: Tab, paths: list[Path], x: float, y: float) -> None:
+    """Drag files or folders over a point of the page, and let them go there."""
     session = tab.page.context.new_cdp_session(tab.page)
-    dragged = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+    dragged = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
     for kind in ("dragEnter", "dragOver", "drop"):
         session.send("Input.dispatchDragEvent", {"type": kind, "x": x, "y": y, "data": dragged})
 
@@ -43,9 +50,7 @@ def test_a_file_that_is_dropped_beside_its_place_is_not_opened_instead_of_the_pa
 
 def test_a_folder_that_is_dropped_is_opened(opened: Open, folder: Path) -> None:
     tab = opened("enrol")
-    box = tab.page.locator(".drop").bounding_box()
-    assert box
-    drop(tab, folder, box["x"] + 20, box["y"] + 20)
+    drop(tab, [folder], *middle(tab, ".drop"))
     tab.page.get_by_role("button", name="Enrol 3 photos").wait_for()
     assert tab.page.locator(".files .name").all_inner_texts() == ["trip/a.jpg", "trip/b.jpg", "trip/monday/c.jpg"]
     assert "Left out" not in tab.page.locator("main").inner_text()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 
 from tests.browser.conftest import Open
+from tests.browser.test_console_drops import drop, middle
 from tests.browser.test_console_maps import check, seen
 from tests.browser.test_console_mishaps import JOB
 from tests.drawn_videos import frames, video
@@ -92,6 +93,47 @@ def test_a_video_is_imported_with_a_frame_every_two_seconds(
     panel.get_by_text("Done: filmed.").wait_for()
     views = httpx.get(f"{service.url}/views?map=filmed").json()["views"]
     assert [view["metadata"]["video_s"] for view in views] == [0, 2, 4]
+
+
+def test_recordings_that_are_dropped_together_are_imported_one_after_another(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    """One of them was taken, and the others were said to be no images; a bad one does not stop those behind it."""
+    dropped = [tmp_path / name for name in ("one.zip", "bad.zip", "two.zip", "photo.jpg")]
+    for path, place in ((dropped[0], "mill lane"), (dropped[2], "rose garden")):
+        with zipfile.ZipFile(path, "w") as recording:
+            recording.writestr(f"{place}.jpg", seen(place))
+    dropped[1].write_text("no archive")
+    dropped[3].write_bytes(seen("castle park"))
+    tab = opened("enrol", refusals=True)
+    tab.page.get_by_label("or a new map").fill("walks")
+    drop(tab, dropped, *middle(tab, ".drop"))
+    tab.page.get_by_role("button", name="Enrol 1 photo").wait_for()
+    assert "Left out" not in tab.page.locator("main").inner_text()
+    panel = tab.page.get_by_label("A recording", exact=True)
+    panel.get_by_role("button", name="Import 3 recordings").press("Enter")
+    tab.awaits("text='Done: walks.'", 2)
+    assert panel.get_by_role("heading", level=3).all_inner_texts() == ["one.zip", "bad.zip", "two.zip"]
+    assert panel.get_by_role("alert").count() == 1
+    panel.get_by_text("bad.zip was not imported.").wait_for()
+    assert len(httpx.get(f"{service.url}/views?map=walks").json()["views"]) == 2
+
+
+def test_a_recording_that_comes_while_others_are_imported_is_not_dropped_without_a_word(
+    opened: Open, tmp_path: Path
+) -> None:
+    for name in ("one.zip", "two.zip"):
+        (tmp_path / name).write_bytes(b"PK")
+    tab = opened("enrol")
+    held: list[Route] = []
+    tab.page.route("**/imports", lambda route: held.append(route))
+    panel = tab.page.get_by_label("A recording", exact=True)
+    choose = panel.get_by_label("Choose a zip archive or a video")
+    choose.set_input_files(tmp_path / "one.zip")
+    panel.get_by_role("button", name="Import the recording").press("Enter")
+    choose.set_input_files(tmp_path / "two.zip")
+    panel.get_by_role("alert").filter(has_text="two.zip: recordings are being imported").wait_for()
+    assert panel.get_by_role("heading", level=3).all_inner_texts() == ["one.zip"]
 
 
 def test_an_import_is_listed_behind_the_jobs_of_the_views_that_it_enrolled(opened: Open) -> None:

@@ -102,9 +102,9 @@ export function enrolScreen() {
 
   async function add(files) {
     notice.replaceChildren();
-    const archive = files.find((file) => RECORDINGS.test(file.name));
-    if (archive) archives.take(archive);
-    files = files.filter((file) => file !== archive);
+    const recordings = files.filter((file) => RECORDINGS.test(file.name));
+    if (recordings.length) archives.take(recordings);
+    files = files.filter((file) => !recordings.includes(file));
     const tables = files.filter((file) => /\.csv$/i.test(file.name));
     const images = files.filter(
       (file) => !tables.includes(file) && (file.type.startsWith("image/") || IMAGES.test(file.name)),

@@ -1,6 +1,6 @@
-// A recording: a zip archive of images, or a video, enrolled as one job; its progress, and what was wrong with it.
+// Recordings: zip archives of images, or videos, each enrolled as one job; its progress, and what was wrong with it.
 
-import { call, upload } from "./api.js";
+import { address, call, upload } from "./api.js";
 import { announce, confirmed, count, facts, field, h, picker, problemBox, size, staying, table } from "./dom.js";
 import { follow } from "./jobs.js";
 
@@ -15,66 +15,99 @@ const KINDS = {
 };
 
 /**
- * A panel that imports an archive into the map whose name `map()` promises; `changed` is called when it has ended.
- * Gives {element, take(file)}.
+ * A panel that imports recordings into the map whose name `map()` promises; `changed` is called when one has ended.
+ * Gives {element, take(files)}.
  */
 export function recording(map, changed) {
-  let file = null;
+  let chosen = []; // {file, status, result, element, done}
   let job = null;
   let busy = false;
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Progress of the recording", hidden: true });
-  const status = h("p", { class: "quiet told" }, "None is chosen.");
-  const result = h("div");
+  const list = h("div", { class: "told" }, h("p", { class: "quiet" }, "None is chosen."));
+  const wrong = h("div");
   const every = h("input", { size: 6, placeholder: "all", spellcheck: "false", autocomplete: "off" });
   const start = h("button", { type: "submit", class: "first", disabled: true }, "Import the recording");
   const stop = h("button", { type: "button", class: "danger", hidden: true, onclick: cancel }, "Cancel …");
 
-  function take(chosen) {
-    if (!chosen || busy) return;
-    file = chosen;
-    status.textContent = `${file.name}, ${size(file.size)}`;
+  /** Take files, to be imported one after another in place of those that were chosen before. */
+  function take(files) {
+    wrong.replaceChildren();
+    if (busy) {
+      const names = files.map((file) => file.name).join(", ");
+      const detail = `${names}: recordings are being imported; choose it again after them`;
+      wrong.append(problemBox({ title: "Not taken", detail }));
+      return;
+    }
+    chosen = files.map(entry);
+    list.replaceChildren(...chosen.map((one) => one.element));
+    start.textContent = files.length > 1 ? `Import ${files.length} recordings` : "Import the recording";
     start.disabled = false;
+  }
+
+  function entry(file) {
+    const status = h("p", { class: "quiet" }, size(file.size));
+    const result = h("div");
+    return { file, status, result, element: h("div", {}, h("h3", {}, file.name), status, result), done: false };
   }
 
   async function run(event) {
     event.preventDefault();
     busy = true;
-    job = null;
     start.disabled = true;
     bar.hidden = false;
-    result.replaceChildren();
+    wrong.replaceChildren();
+    const left = chosen.filter((one) => !one.done);
+    const queue = left.length ? left : chosen;
     try {
       const name = await map();
-      const step = every.value.trim() && `?every=${encodeURIComponent(every.value.trim())}`;
-      const path = `/maps/${encodeURIComponent(name)}/imports${step}`;
-      const sent = (share) => {
-        bar.max = 1;
-        bar.value = share;
-        status.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
-      };
+      for (const one of queue) {
+        const importing = () => imported(one, name);
+        const goesOn = one === queue.at(-1) ? importing() : staying(importing); // the next one is still to be sent
+        if (!(await goesOn)) break;
+      }
+    } catch (error) {
+      wrong.replaceChildren(problemBox(error));
+    } finally {
+      busy = false;
+      start.disabled = false;
+      bar.hidden = true;
+    }
+  }
+
+  /** Import one into a map; whether the next one is to follow. */
+  async function imported(one, name) {
+    const { file, status, result } = one;
+    const path = address(`/maps/${encodeURIComponent(name)}/imports`, { every: every.value.trim() });
+    const sent = (share) => {
+      bar.max = 1;
+      bar.value = share;
+      status.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
+    };
+    job = null;
+    result.replaceChildren();
+    try {
       job = await staying(() => upload(path, file, "application/octet-stream", sent));
       stop.hidden = false;
-      job = await follow(job, show);
-      status.textContent = { done: "Done", cancelled: "Cancelled; what was enrolled stays", failed: "Failed" }[
-        job.state
-      ];
-      status.textContent += `: ${name}.`;
+      job = await follow(job, (latest) => show(one, latest));
+      const ended = { done: "Done", cancelled: "Cancelled; what was enrolled stays", failed: "Failed" }[job.state];
+      status.textContent = `${ended}: ${name}.`;
       if (job.state === "failed") result.prepend(problemBox({ title: "The job failed", ...job.failure }));
-      announce(status.textContent);
+      one.done = job.state === "done";
+      announce(`${file.name}. ${status.textContent}`);
       changed();
+      return job.state !== "cancelled";
     } catch (error) {
       status.textContent = job
         ? `${file.name} was sent; the jobs of the map tell how its import goes on.`
         : `${file.name} was not imported.`;
       result.replaceChildren(problemBox(error));
+      return error.status !== 401; // which the others would get as well
     } finally {
-      busy = false;
-      start.disabled = false;
-      bar.hidden = stop.hidden = true;
+      stop.hidden = true;
     }
   }
 
-  function show({ progress, result: report }) {
+  function show({ status, result }, { progress, result: report }) {
     if (progress) {
       bar.max = Math.max(progress.total, 1);
       bar.value = progress.done;
@@ -89,11 +122,12 @@ export function recording(map, changed) {
     try {
       await call("DELETE", `/jobs/${encodeURIComponent(job.id)}`);
     } catch (error) {
-      result.prepend(problemBox(error));
+      wrong.replaceChildren(problemBox(error));
     }
   }
 
-  const pick = picker("Choose a zip archive or a video", { accept: ".zip,.mkv,.mcap,video/*" }, ([one]) => take(one));
+  const kinds = { accept: ".zip,.mkv,.mcap,video/*", multiple: true };
+  const pick = picker("Choose a zip archive or a video", kinds, take);
   const element = h(
     "section",
     { class: "panel", "aria-label": "A recording" },
@@ -107,17 +141,17 @@ export function recording(map, changed) {
     h(
       "p",
       { class: "quiet" },
-      "Every 2s, 1min or 1m (metres) leaves out what was taken sooner or nearer; of a video, one frame a second is ",
-      "taken otherwise.",
+      "Several are imported in turn. Every 2s, 1min or 1m (metres) leaves out what was taken sooner or nearer; of a ",
+      "video, one frame a second is taken otherwise.",
     ),
     h(
       "form",
       { onsubmit: run },
       h("div", { class: "row low" }, pick, field("Every", every), start, stop),
     ),
-    status,
     bar,
-    result,
+    wrong,
+    list,
   );
   return { element, take };
 }
