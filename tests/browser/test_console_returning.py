@@ -2,11 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tests.browser.conftest import Open, taken
 from tests.browser.test_console import ask
 from tests.browser.test_console_enrolling import ASKS
+from tests.browser.test_console_mishaps import JOB
 from tests.sample_images import photo as drawn_photo
 
 if TYPE_CHECKING:
@@ -112,3 +113,37 @@ def test_plans_that_are_shown_no_more_are_not_kept(opened: Open) -> None:
     kept = session.send("Runtime.queryObjects", {"prototypeObjectId": canvas})["objects"]["objectId"]
     call = {"objectId": kept, "functionDeclaration": "function () { return this.length; }", "returnByValue": True}
     assert session.send("Runtime.callFunctionOn", call)["result"]["value"] <= 2
+
+
+def test_a_snapshot_that_is_being_made_is_shown_to_who_comes_back(opened: Open) -> None:
+    """Nothing told of it, and it did not come to the list when it was made."""
+    job: dict[str, Any] = JOB | {"kind": "snapshot"}
+    tab = opened("service")
+    tab.page.route("**/jobs?kind=snapshot*", lambda route: route.fulfill(json={"jobs": [job], "next": None}))
+    tab.page.route("**/jobs/j1", lambda route: route.fulfill(json=job))
+    tab.show("snapshots")
+    tab.page.get_by_text("town: 3 of 9 images").wait_for()
+    tab.show("service")
+    tab.show("snapshots")
+    tab.page.get_by_text("town: 3 of 9 images").wait_for()
+    with tab.page.expect_request("**/snapshots"):
+        job |= {"state": "done", "progress": {"done": 9, "total": 9}}
+    tab.page.locator("main").get_by_text("The snapshot of town is made.").wait_for()
+    tab.awaits("progress[aria-label='Progress of the snapshot of town']", 0)
+
+
+def test_what_became_of_a_restore_is_told_to_who_comes_back(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "town.tar").write_bytes(b"x" * 1000)
+    tab = opened("snapshots", refusals=True)
+    held: list[Route] = []
+    tab.page.route("**/restore", lambda route: held.append(route))
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(tmp_path / "town.tar")
+    tab.page.get_by_role("button", name="Restore", exact=True).click()
+    while not held:
+        tab.page.wait_for_timeout(20)
+    tab.show("service")
+    with tab.page.expect_response("**/restore"):
+        held[0].continue_()
+    tab.show("snapshots")
+    tab.page.locator("main").get_by_role("alert").wait_for()
+    assert "town.tar" in tab.page.locator("main").inner_text()

@@ -20,7 +20,7 @@ const OF_MAPS = Object.keys(KINDS)
   .filter((kind) => kind !== "describe")
   .join();
 
-const runs = (job) => ["waiting", "running"].includes(job.state);
+export const runs = (job) => ["waiting", "running"].includes(job.state);
 
 /** Poll a job until it has ended or `wanted()` is false; `report(job)` is called each time. Gives its last state. */
 export async function follow(job, report, wanted = () => true) {

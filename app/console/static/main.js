@@ -26,7 +26,7 @@ const SCREENS = {
   ask: { title: "Ask", make: queryScreen, keep: true },
   enrol: { title: "Enrol", make: enrolScreen, keep: true },
   maps: { title: "Maps", make: mapsOrOne },
-  snapshots: { title: "Snapshots", make: snapshotsScreen, under: "maps" },
+  snapshots: { title: "Snapshots", make: snapshotsScreen, under: "maps", keep: true },
   service: { title: "Service", make: serviceScreen },
 };
 

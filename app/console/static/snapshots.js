@@ -16,7 +16,7 @@ import {
   staying,
   table,
 } from "./dom.js";
-import { follow } from "./jobs.js";
+import { follow, runs } from "./jobs.js";
 
 export function snapshotsScreen() {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Snapshots" });
@@ -83,6 +83,7 @@ export function snapshotsScreen() {
   }
 
   const maps = mapSelect();
+  const make = making(maps, load, () => !left);
   return {
     element: h(
       "div",
@@ -96,10 +97,11 @@ export function snapshotsScreen() {
         "gives the same answers, here or elsewhere.",
       ),
       h("section", { class: "panel" }, h("h2", {}, "Kept by this service"), list),
-      h("div", { class: "columns" }, making(maps, load, () => !left), restoring(maps)),
+      h("div", { class: "columns" }, make.element, restoring(maps)),
     ),
     enter: async () => {
-      await Promise.all([load(), maps.refresh()]);
+      left = false;
+      await Promise.all([load(), maps.refresh(), make.underWay()]);
     },
     leave: () => {
       left = true;
@@ -109,46 +111,71 @@ export function snapshotsScreen() {
 
 function making(maps, made, wanted) {
   const notice = h("div", { class: "told" });
-  const bar = h("progress", { max: 1, "aria-label": "Progress of the snapshot", hidden: true });
+  const running = h("div", { class: "told" });
+  const watched = new Set(); // ids of jobs
   const button = h("button", { type: "submit", class: "first" }, "Make a snapshot");
 
   async function make(event) {
     event.preventDefault();
     button.disabled = true;
-    bar.hidden = false;
-    bar.removeAttribute("value");
+    notice.replaceChildren();
     try {
       const name = await maps.chosen();
-      const started = await call("POST", `/maps/${encodeURIComponent(name)}/snapshots`);
-      const job = await follow(started, ({ progress }) => progress && show(progress), wanted);
-      if (!wanted()) return;
-      if (job.state !== "done") throw Object.assign(new Error(), { title: `The job ${job.state}`, ...job.failure });
-      notice.replaceChildren(h("p", { class: "done" }, `The snapshot of ${name} is made.`));
-      announce(`The snapshot of ${name} is made.`);
-      made();
+      watch(await call("POST", `/maps/${encodeURIComponent(name)}/snapshots`));
     } catch (error) {
       notice.replaceChildren(problemBox(error));
     } finally {
       button.disabled = false;
-      bar.hidden = true;
     }
   }
 
-  function show({ done, total }) {
-    bar.max = Math.max(total, 1);
-    bar.value = done;
-    notice.replaceChildren(h("p", { class: "quiet" }, `${done} of ${count(total, "image")}`));
+  /** Show how far the snapshot of a job is until it is made, or the screen is left. */
+  async function watch(job) {
+    if (watched.has(job.id)) return;
+    watched.add(job.id);
+    const bar = h("progress", { max: 1, "aria-label": `Progress of the snapshot of ${job.map}` });
+    const line = h("p", { class: "quiet" }, `${job.map} …`);
+    const element = h("div", {}, bar, line);
+    const show = ({ progress }) => {
+      if (!progress) return;
+      bar.max = Math.max(progress.total, 1);
+      bar.value = progress.done;
+      line.textContent = `${job.map}: ${progress.done} of ${count(progress.total, "image")}`;
+    };
+    running.append(element);
+    show(job);
+    try {
+      const ended = await follow(job, show, wanted);
+      if (!wanted()) return;
+      if (ended.state !== "done")
+        throw Object.assign(new Error(), { title: `The job ${ended.state}`, ...ended.failure });
+      notice.replaceChildren(h("p", { class: "done" }, `The snapshot of ${job.map} is made.`));
+      announce(`The snapshot of ${job.map} is made.`);
+      made();
+    } catch (error) {
+      notice.replaceChildren(problemBox(error));
+    } finally {
+      element.remove();
+      watched.delete(job.id);
+    }
   }
 
-  return h(
+  /** Show the snapshots that are being made: by others, or since the screen was looked at last. */
+  async function underWay() {
+    const { jobs } = await call("GET", "/jobs", { query: { kind: "snapshot" } });
+    jobs.filter(runs).forEach(watch);
+  }
+
+  const element = h(
     "section",
     { class: "panel" },
     h("h2", {}, "Make one"),
     h("p", {}, "In the background, while the map is used. It holds the map as it is at the beginning."),
     h("form", { onsubmit: make }, h("div", { class: "spaced" }, field("Map", maps.select)), button),
-    bar,
+    running,
     notice,
   );
+  return { element, underWay };
 }
 
 function restoring(maps) {
