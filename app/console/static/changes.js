@@ -10,9 +10,7 @@ const MOST_OTHERS = 100;
 /** A button that fetches what changed from `address()`, and shows it below. Gives {element, clear}. */
 export function whatChanged(text, address) {
   const shown = h("div");
-  const button = h("button", { type: "button", onclick: compare }, text);
   async function compare() {
-    button.disabled = true;
     shown.replaceChildren(h("p", { class: "quiet" }, "Comparing both photos; this takes some seconds …"));
     try {
       const found = await call("GET", address());
@@ -21,10 +19,9 @@ export function whatChanged(text, address) {
     } catch (error) {
       const again = [429, 503].includes(error.status) && "The service is busy: try again in a few seconds.";
       shown.replaceChildren(problemBox(error), again && h("p", {}, again));
-    } finally {
-      button.disabled = false;
     }
   }
+  const button = h("button", { type: "button", onclick: compare }, text);
   return { element: h("div", { class: "changes spaced" }, button, shown), clear: () => shown.replaceChildren() };
 }
 

@@ -2,7 +2,10 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** An element. `attributes`: `on*` are listeners, `style` an object, all others as in HTML; null leaves one out. */
+/**
+ * An element. `attributes`: `on*` are listeners, `style` an object, all others as in HTML; null leaves one out. While
+ * the promise of a listener is not settled, further clicks and submits of its element do nothing.
+ */
 export function h(tag, attributes = {}, ...children) {
   return filled(document.createElement(tag), attributes, children);
 }
@@ -15,7 +18,8 @@ export function svg(tag, attributes = {}, ...children) {
 function filled(element, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null || value === undefined || value === false) continue;
-    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    if (["onclick", "onsubmit"].includes(name)) element.addEventListener(name.slice(2), oneAtATime(value));
+    else if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
     else if (name === "style") for (const [key, text] of Object.entries(value)) element.style.setProperty(key, text);
     else if (name === "value") element.value = value;
     else element.setAttribute(name, value === true ? "" : value);
@@ -24,6 +28,27 @@ function filled(element, attributes, children) {
     ...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false),
   );
   return element;
+}
+
+function oneAtATime(listener) {
+  let going = false;
+  return async (event) => {
+    if (going) {
+      event.preventDefault(); // a form would be sent by the browser
+      return;
+    }
+    const button = event.submitter ?? event.currentTarget;
+    const began = listener(event);
+    if (!(began instanceof Promise)) return;
+    going = true;
+    button.setAttribute("aria-disabled", "true"); // not disabled: it would lose the focus
+    try {
+      await began;
+    } finally {
+      going = false;
+      button.removeAttribute("aria-disabled");
+    }
+  };
 }
 
 /** What an input for the name of a map takes; browsers say the title with their refusal of any other text. */

@@ -39,7 +39,7 @@ export function keeping({ path, setting, most, kept, heading, about, label, kind
         class: "row",
         onsubmit: (event) => {
           event.preventDefault();
-          keep(Number(wanted.value));
+          return keep(Number(wanted.value));
         },
       },
       field(label, wanted),

@@ -100,7 +100,7 @@ export function recipeScreen(name) {
         {
           onsubmit: (event) => {
             event.preventDefault();
-            begun(true);
+            return begun(true);
           },
         },
         h("div", { class: "spaced" }, field("Labels, with commas", inputs.labels)),

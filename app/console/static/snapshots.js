@@ -113,19 +113,15 @@ function making(maps, made, wanted) {
   const notice = h("div", { class: "told" });
   const running = h("div", { class: "told" });
   const watched = new Set(); // ids of jobs
-  const button = h("button", { type: "submit", class: "first" }, "Make a snapshot");
 
   async function make(event) {
     event.preventDefault();
-    button.disabled = true;
     notice.replaceChildren();
     try {
       const name = await maps.chosen();
       watch(await call("POST", `/maps/${encodeURIComponent(name)}/snapshots`));
     } catch (error) {
       notice.replaceChildren(problemBox(error));
-    } finally {
-      button.disabled = false;
     }
   }
 
@@ -171,7 +167,12 @@ function making(maps, made, wanted) {
     { class: "panel" },
     h("h2", {}, "Make one"),
     h("p", {}, "In the background, while the map is used. It holds the map as it is at the beginning."),
-    h("form", { onsubmit: make }, h("div", { class: "spaced" }, field("Map", maps.select)), button),
+    h(
+      "form",
+      { onsubmit: make },
+      h("div", { class: "spaced" }, field("Map", maps.select)),
+      h("button", { type: "submit", class: "first" }, "Make a snapshot"),
+    ),
     running,
     notice,
   );
