@@ -142,3 +142,28 @@ def test_an_address_that_was_mistyped_is_told_as_the_name_of_no_map(opened: Open
     tab = opened("maps/town%", refusals=True)
     tab.page.get_by_role("heading", name="town%").wait_for()
     assert "town%" in tab.page.get_by_role("alert").inner_text()
+
+
+def test_a_problem_that_lasts_is_told_once(opened: Open) -> None:
+    """Every 5 s it was read out anew to those who listen, and flickered."""
+    away = re.compile(r"/(readyz|metrics|version)$|/jobs[?]")
+    looks: list[str] = []
+
+    def refuse(route: "Route") -> None:
+        looks.append(route.request.url)
+        route.abort()
+
+    tab = opened("maps")
+    tab.page.route(away, refuse)
+    tab.show("service")
+    alerts = tab.page.get_by_role("alert")
+    tab.awaits("[role=alert]", 4)
+    for alert in alerts.all():
+        alert.evaluate("alert => (alert.dataset.seen = 'yes')")
+    before = len(looks)
+    while len(looks) < before + 10:
+        tab.page.wait_for_timeout(100)
+    tab.awaits("[role=alert][data-seen=yes]", 4)
+    tab.page.unroute(away)
+    tab.awaits("[role=alert]", 0)
+    tab.complaints.clear()  # of what did not come

@@ -158,6 +158,14 @@ export function problemBox(problem) {
   );
 }
 
+/** Fill an element with a problem. One that it shows already stays: it would be read out again. */
+export function showProblem(element, problem) {
+  const box = problemBox(problem);
+  const shown = element.firstElementChild;
+  const same = shown?.matches(".problem") && shown.firstChild.textContent === box.firstChild.textContent;
+  if (!same) element.replaceChildren(box);
+}
+
 /** The problem that a screen met when it was opened, and a button that opens it once more. */
 export function screenProblem(problem) {
   const again = () => window.dispatchEvent(new Event("again"));

@@ -1,7 +1,7 @@
 // Work in the background: what runs now, and what became of it.
 
 import { call } from "./api.js";
-import { confirmed, h, moment, problemBox, table } from "./dom.js";
+import { confirmed, h, moment, problemBox, showProblem, table } from "./dom.js";
 
 const EVERY_MS = 1500;
 const AGAIN_MS = 5000; // after a refusal
@@ -69,7 +69,7 @@ export function jobList(map, finished = () => {}, idle = null) {
       if (ended) finished();
     } catch (error) {
       if (stopped) return;
-      list.replaceChildren(problemBox(error));
+      showProblem(list, error);
       if (PASSING.includes(error.status)) timer = setTimeout(look, AGAIN_MS);
     }
   }

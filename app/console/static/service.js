@@ -1,7 +1,7 @@
 // The service: whether it is well, what is loaded, its queue, its figures, and the problems of this tab.
 
 import { Problem, call, fetched, recentProblems, send, service } from "./api.js";
-import { count, facts, h, problemBox, size } from "./dom.js";
+import { count, facts, h, showProblem, size } from "./dom.js";
 import { jobList } from "./jobs.js";
 import { part } from "./parts.js";
 
@@ -74,7 +74,7 @@ async function shown(element, make) {
     const made = await make();
     if (element.firstChild !== made) element.replaceChildren(made);
   } catch (error) {
-    element.replaceChildren(problemBox(error));
+    showProblem(element, error);
   }
 }
 
