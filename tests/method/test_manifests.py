@@ -105,6 +105,16 @@ def test_columns_that_a_spreadsheet_left_empty_are_none() -> None:
         read_manifest("manifest.csv", b"file,x,y,,\na.jpg,1,2,,5\n")
 
 
+@pytest.mark.parametrize("line", ["sep=;\r\n", "\nSEP=; \n", "sep=|\n", "sep=\t\n"])
+def test_the_line_in_which_excel_says_what_separates_is_no_row(line: str) -> None:
+    """It was said to lack the column `file`."""
+    separator = line.strip(" \r\n")[4]
+    text = line + separator.join(["file", "x", "y"]) + "\n" + separator.join(["a.jpg", "1,5", "2"]) + "\n"
+    (row,) = read_manifest("manifest.csv", text.encode()).rows
+    assert attributes(row, "manifest.csv").position == Position(x=1.5, y=2)
+    assert row.line == text.count("\n")
+
+
 def test_a_comma_that_may_be_either_is_not_guessed_at() -> None:
     """Spreadsheets in English put commas before thousands, and then quotes around numbers."""
     with pytest.raises(ValueError, match="line 2: y is '1,234', which may have a comma for thousands or for decimals"):

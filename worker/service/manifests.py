@@ -36,6 +36,8 @@ LONGEST_FILE = 1024
 _MEANT = {other: ours for ours, others in NAMES.items() for other in (ours, *others)}
 _UNIX = re.compile(r"\d{9,19}(\.\d+)?", re.ASCII)
 _MINUTE = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])[0-5]\d", re.ASCII)
+_SEPARATOR = re.compile(r"\s*sep=(\t|[^\w\s\"])\s*", re.IGNORECASE)
+"""A line of a spreadsheet's own, before that of the columns."""
 _COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
 _METRES = frozenset(("x", "y", "z", "alt"))
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)  # in a table with commas between its columns
@@ -234,7 +236,11 @@ def _row(name: str, line: int, named: Mapping[str, Any], metadata: Mapping[str, 
 
 def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
     first = next((line for line in _lines(text) if line.strip()), "")
-    delimiter = max(",;\t", key=first.count)
+    if said := _SEPARATOR.fullmatch(first):
+        delimiter = said[1]
+        text = text.replace(first, "\n", 1)  # lines are counted as they are in the file
+    else:
+        delimiter = max(",;\t", key=first.count)
     reader = csv.reader(_lines(text), delimiter=delimiter)
     rows: list[Row] = []
     columns: list[str] = []

@@ -76,7 +76,7 @@ export function enrolScreen() {
       picker("Choose photos", { accept: "image/*", multiple: true }, add),
       picker("Choose a folder", { webkitdirectory: true, multiple: true }, add),
       picker("Take a photo", { accept: "image/*", capture: "environment" }, add),
-      picker("Positions (CSV)", { accept: ".csv,text/csv" }, add),
+      picker("Positions (CSV)", { accept: ".csv,.tsv,text/csv" }, add),
     ),
   );
   takesDrops(drop, add);
@@ -105,7 +105,7 @@ export function enrolScreen() {
     const recordings = files.filter((file) => RECORDINGS.test(file.name));
     if (recordings.length) archives.take(recordings);
     files = files.filter((file) => !recordings.includes(file));
-    const tables = files.filter((file) => /\.csv$/i.test(file.name));
+    const tables = files.filter((file) => /\.[ct]sv$/i.test(file.name));
     const images = files.filter(
       (file) => !tables.includes(file) && (file.type.startsWith("image/") || IMAGES.test(file.name)),
     );
@@ -126,7 +126,7 @@ export function enrolScreen() {
       reading += 1;
       redraw();
       try {
-        positions = positionsOf(await table.text());
+        positions = positionsOf(await table.arrayBuffer());
         read = true;
       } catch (error) {
         notice.append(problemBox({ title: table.name, detail: error.message }));
@@ -351,7 +351,8 @@ export function enrolScreen() {
             "p",
             {},
             "Its first line names columns: file, and some of place, x, y, z, lat, lon, alt, heading, captured_at. ",
-            "A row belongs to the photos whose path ends with its file:",
+            "A row belongs to the photos whose path ends with its file. Commas, semicolons or tabs separate, and the ",
+            "text is UTF-8:",
           ),
           h("pre", {}, "file,place,x,y,heading\nentrance.jpg,main entrance,12.0,3.5,90"),
         ),
