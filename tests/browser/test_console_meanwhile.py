@@ -84,3 +84,24 @@ def test_an_edit_that_a_key_ended_under_is_saved_and_shown_with_the_next_key(ope
     tab.page.get_by_role("button", name="Save").click()
     tab.page.get_by_role("button", name="View 1: gate").wait_for()
     tab.awaits("dialog", 0)
+
+
+def test_an_open_map_and_the_list_of_maps_follow_what_others_enrol_and_delete(
+    opened: Open, service: RunningService
+) -> None:
+    """They stayed as they had been opened until they were opened again."""
+    put(service, 720, map="shared", place="porch")
+    tab, listed = opened("maps/shared", refusals=True), opened("maps")
+    row = listed.page.get_by_role("row").filter(has=listed.page.get_by_role("link", name="shared", exact=True))
+    row.get_by_role("link").focus()
+    tab.page.get_by_role("button", name="View 1: porch").focus()
+    put(service, 721, map="shared", place="attic", x="1", y="2")
+    tab.page.get_by_role("button", name="View 2: attic").wait_for()
+    tab.page.get_by_role("button", name="attic 1 view").wait_for()
+    tab.page.get_by_role("heading", name="Plan").wait_for()
+    assert tab.page.evaluate("document.activeElement.ariaLabel") == "View 1: porch"
+    row.get_by_role("cell", name="2", exact=True).first.wait_for()
+    assert row.get_by_role("link").evaluate("link => link === document.activeElement")
+    httpx.delete(f"{service.url}/maps/shared", timeout=60).raise_for_status()
+    row.wait_for(state="detached")
+    tab.page.get_by_role("alert").filter(has_text="there is no map 'shared'").wait_for()

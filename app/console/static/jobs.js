@@ -5,6 +5,7 @@ import { confirmed, h, moment, problemBox, showProblem, table } from "./dom.js";
 
 const EVERY_MS = 1500;
 const AGAIN_MS = 5000; // after a refusal
+const IDLE_MS = 10_000;
 const PASSING = [0, 429, 503]; // a busy or restarting service goes on with its jobs
 const MOST = 20;
 const KINDS = {
@@ -35,6 +36,29 @@ export async function follow(job, report, wanted = () => true) {
     report(latest);
   }
   return latest;
+}
+
+/**
+ * Look every few seconds, while the page is seen, at what others may change. `refused` is called with a problem that
+ * ends it, such as a key that ended. Gives a function that ends it.
+ */
+export function lookAgain(look, refused) {
+  let timer = setTimeout(again, IDLE_MS);
+  async function again() {
+    try {
+      if (!document.hidden) await look();
+    } catch (error) {
+      if (!PASSING.includes(error.status)) {
+        refused(error);
+        return;
+      }
+    }
+    if (timer !== null) timer = setTimeout(again, IDLE_MS);
+  }
+  return () => {
+    clearTimeout(timer);
+    timer = null;
+  };
 }
 
 /**

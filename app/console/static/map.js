@@ -19,7 +19,7 @@ import {
   screenProblem,
   size,
 } from "./dom.js";
-import { jobList } from "./jobs.js";
+import { jobList, lookAgain } from "./jobs.js";
 import { mapHead, part } from "./parts.js";
 import { photosSection } from "./privacy.js";
 import { showReceipt } from "./receipt.js";
@@ -29,6 +29,7 @@ export function mapScreen(name) {
   const element = h("div", {}, h("p", {}, "Loading …"));
   const wrong = h("div");
   let left = false;
+  let stop = () => {};
   let jobs = null;
   let sections = null; // once the map is there
   let map = null;
@@ -50,7 +51,15 @@ export function mapScreen(name) {
     element.replaceChildren(...mapHead(name), wrong, first, views, background, ...others, removal());
   }
 
-  const reload = () => load().catch((error) => wrong.replaceChildren(problemBox(error)));
+  const told = (error) => wrong.replaceChildren(problemBox(error));
+  const reload = () => load().catch(told);
+
+  /** Others may have changed the map, and begun jobs of it. */
+  async function look() {
+    const before = JSON.stringify(map);
+    await load();
+    if (JSON.stringify(map) !== before) jobs.look();
+  }
 
   function about() {
     const shown = part(
@@ -272,13 +281,18 @@ export function mapScreen(name) {
 
   return {
     element,
-    enter: () =>
-      load().catch((error) => {
+    enter: async () => {
+      try {
+        await load();
+        if (!left) stop = lookAgain(look, told);
+      } catch (error) {
         if (error.status === 401) throw error; // the dialog is open
         element.replaceChildren(...mapHead(name), screenProblem(error));
-      }),
+      }
+    },
     leave: () => {
       left = true;
+      stop();
       jobs?.stop();
     },
   };

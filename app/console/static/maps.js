@@ -2,10 +2,15 @@
 
 import { call } from "./api.js";
 import { MAP_NAME, field, h, problemBox, size, table } from "./dom.js";
+import { lookAgain } from "./jobs.js";
+import { part } from "./parts.js";
 
 export function mapsScreen() {
-  const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Maps" });
+  const listed = part((maps) => maps.map(({ name, views, places, bytes }) => [name, views, places, bytes]), tableOf);
+  const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Maps" }, listed.element);
   const notice = h("div");
+  let left = false;
+  let stop = () => {};
   const inputs = {
     name: h("input", { required: true, ...MAP_NAME }),
     preset: h("input", { placeholder: "default", spellcheck: "false" }),
@@ -15,12 +20,9 @@ export function mapsScreen() {
 
   async function load() {
     const { maps } = await call("GET", "/maps");
-    const start = h("a", { href: "#enrol" }, "Enrol some photos");
-    list.replaceChildren(
-      maps.length
-        ? table(["Map", "Views", "Places", "Size"], maps.map(row))
-        : h("p", {}, "Nothing is enrolled yet. ", start, " to make the first map."),
-    );
+    const focused = list.contains(document.activeElement) && document.activeElement.getAttribute("href");
+    listed.show(maps);
+    if (focused) list.querySelector(`a[href="${CSS.escape(focused)}"]`)?.focus();
   }
 
   async function made(event) {
@@ -77,8 +79,21 @@ export function mapsScreen() {
         ),
       ),
     ),
-    enter: load,
+    enter: async () => {
+      await load();
+      if (!left) stop = lookAgain(load, (error) => list.before(problemBox(error)));
+    },
+    leave: () => {
+      left = true;
+      stop();
+    },
   };
+}
+
+function tableOf(maps) {
+  if (maps.length) return table(["Map", "Views", "Places", "Size"], maps.map(row));
+  const start = h("a", { href: "#enrol" }, "Enrol some photos");
+  return h("p", {}, "Nothing is enrolled yet. ", start, " to make the first map.");
 }
 
 function row(map) {
