@@ -137,11 +137,21 @@ def test_a_problem_of_a_screen_that_was_left_is_not_shown_over_another(opened: O
     assert tab.page.locator("main > .spaced").count() == 0
 
 
-def test_an_address_that_was_mistyped_is_told_as_the_name_of_no_map(opened: Open) -> None:
-    """Its problem, "URI malformed", was added above the screen that had been shown, once more each time."""
-    tab = opened("maps/town%", refusals=True)
-    tab.page.get_by_role("heading", name="town%").wait_for()
-    assert "town%" in tab.page.get_by_role("alert").inner_text()
+@pytest.mark.parametrize("name", ["town%", "..", ".", "a%2Fb"])
+@pytest.mark.parametrize("part", ["", "/health"])
+def test_an_address_that_was_mistyped_is_told_as_the_name_of_no_map(opened: Open, name: str, part: str) -> None:
+    """Of ".." a proxy was blamed, "." broke the screen, and of "town%" it was said that a URI is malformed."""
+    tab = opened(f"maps/{name}{part}")
+    told = tab.page.get_by_role("alert").inner_text()
+    assert "There is no such map: " in told
+    assert "Letters, digits, dots, hyphens" in told
+    tab.page.get_by_role("link", name="All maps").click()
+    tab.page.get_by_role("link", name="town", exact=True).wait_for()
+
+
+def test_an_address_of_no_screen_is_that_of_the_first(opened: Open) -> None:
+    """Of #main, which is where the link that skips the head leads in a tab of its own, nothing was shown."""
+    opened("main").page.get_by_role("heading", name="Where was this taken?").wait_for()
 
 
 def test_a_problem_that_lasts_is_told_once(opened: Open) -> None:

@@ -1,12 +1,13 @@
 // The frame: which screen is shown, sign in, light and dark.
 
 import { call, key } from "./api.js";
-import { announce, field, h, keepsDrops, problemBox, screenProblem } from "./dom.js";
+import { MAP_NAME, announce, field, h, keepsDrops, problemBox, screenProblem } from "./dom.js";
 import { enrolScreen } from "./enrol.js";
 import { healthScreen } from "./health.js";
 import { inboxScreen } from "./inbox.js";
 import { mapScreen } from "./map.js";
 import { mapsScreen } from "./maps.js";
+import { mapHead } from "./parts.js";
 import { queryScreen } from "./query.js";
 import { recipeScreen } from "./recipe.js";
 import { ofBrowser } from "./remembered.js";
@@ -20,7 +21,14 @@ let visits = 0;
 
 const OF_MAP = { health: healthScreen, inbox: inboxScreen, recipe: recipeScreen };
 const ofMap = (part) => (Object.hasOwn(OF_MAP, part) ? OF_MAP[part] : mapScreen);
-const mapsOrOne = (name, part) => (name ? ofMap(part)(name) : mapsScreen());
+const NAME = new RegExp(`^(?:${MAP_NAME.pattern})$`);
+const mapsOrOne = (name, part) => (name ? (NAME.test(name) ? ofMap(part) : noMap)(name) : mapsScreen());
+
+/** What is not asked of the service: fetch would make another address of a name such as "..". */
+function noMap(name) {
+  const problem = { title: "There is no such map", detail: `${name} is no name of a map. ${MAP_NAME.title}` };
+  return { element: h("div", {}, mapHead(name), problemBox(problem)) };
+}
 
 const SCREENS = {
   ask: { title: "Ask", make: queryScreen, keep: true },
@@ -42,7 +50,6 @@ function decoded(part) {
 /** Show what the address names: `#ask`, `#maps/campus/health`. A screen may have `enter` and `leave`. */
 async function show() {
   const [name, ...rest] = location.hash.slice(1).split("/");
-  if (name === "main") return;
   const chosen = Object.hasOwn(SCREENS, name) ? name : "ask";
   const { title, make, keep, under = chosen } = SCREENS[chosen];
   for (const link of document.querySelectorAll(".top nav a")) {
