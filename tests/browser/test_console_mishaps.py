@@ -289,6 +289,16 @@ def test_a_long_name_makes_no_screen_wider_than_a_small_phone(
     assert not tab.page.get_by_role("dialog").evaluate(wide)
 
 
+def test_what_a_verdict_was_made_from_is_legible_on_a_small_phone(opened: Open, query_photo: Path) -> None:
+    """Its values had room for one letter in a line."""
+    tab = opened(size={"width": 320, "height": 640})
+    tab.page.get_by_label("Map", exact=True).select_option("town")
+    tab.page.get_by_label("Choose a photo").set_input_files(query_photo)
+    tab.page.get_by_text("What the verdict was made from").click()
+    shares = "rows => rows.map((row) => row.offsetWidth / row.parentElement.clientWidth)"
+    assert min(tab.page.locator("dl:visible dd").evaluate_all(shares)) > 0.4
+
+
 def test_a_service_that_is_away_is_told_from_a_fault_of_the_console(opened: Open) -> None:
     tab = opened("service")
     checks = tab.page.locator("section").filter(has=tab.page.get_by_role("heading", name="Is it well?"))
