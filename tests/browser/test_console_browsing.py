@@ -2,12 +2,14 @@
 
 import json
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import httpx
 
 from app.http.examples import MAP_HEALTH, VIEW
 from tests.browser.conftest import PHONE, Open, Tab
+from tests.browser.test_console import ask
 from tests.sample_images import photo as drawn_photo
 
 if TYPE_CHECKING:
@@ -208,3 +210,16 @@ def test_an_edited_view_leaves_as_many_findings_as_there_were(opened: Open) -> N
     tab.page.locator(".finding", has_text="Pair 11").get_by_role("button", name="Open south").wait_for()
     tab.awaits(".finding", 12)
     assert town.rows[11]["place"] == "south"
+
+
+def test_what_backgrounds_say_is_seen_in_the_colours_of_the_system(opened: Open, query_photo: Path) -> None:
+    """With high contrast bars were empty, no label had a colour, and nothing was the screen that is shown."""
+    backgrounds = "found => found.map((one) => getComputedStyle(one).backgroundColor)"
+    tab = opened(forced_colors="active")
+    ask(tab, query_photo)
+    page = tab.page.locator("body").evaluate("body => getComputedStyle(body).backgroundColor")
+    for selector in (".bar > span", "nav a[aria-current]", "button[aria-pressed=true]"):
+        assert page not in tab.page.locator(selector).evaluate_all(backgrounds), selector
+    tab.show("maps/town")
+    tab.page.locator(".swatch").first.wait_for()
+    assert len(set(tab.page.locator(".swatch").evaluate_all(backgrounds))) > 5
