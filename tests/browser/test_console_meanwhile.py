@@ -1,6 +1,6 @@
 """What others change, or a key that ends, while somebody looks at a view."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import pytest
@@ -9,6 +9,9 @@ from tests.browser.conftest import Open, Tab
 from tests.browser.test_console_keys import Locked, locked, sign_in
 from tests.sample_images import photo as drawn_photo
 from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import APIResponse, Route
 
 __all__ = ["locked"]  # a fixture
 
@@ -105,3 +108,30 @@ def test_an_open_map_and_the_list_of_maps_follow_what_others_enrol_and_delete(
     httpx.delete(f"{service.url}/maps/shared", timeout=60).raise_for_status()
     row.wait_for(state="detached")
     tab.page.get_by_role("alert").filter(has_text="there is no map 'shared'").wait_for()
+
+
+def test_an_answer_from_before_a_change_does_not_take_it_back(opened: Open, service: RunningService) -> None:
+    """On a slow network: it is looked at every few seconds."""
+    put(service, 730, map="slow", place="porch")
+    tab = opened("maps/slow")
+    held: list[tuple[Route, APIResponse]] = []
+
+    def hold(route: "Route") -> None:
+        if route.request.method == "GET" and not held:
+            held.append((route, route.fetch()))
+        else:
+            route.continue_()
+
+    tab.page.route("**/maps/slow", hold)
+    while not held:
+        tab.page.wait_for_timeout(100)
+    precision = tab.page.get_by_label("Share of sure answers that must be right")
+    precision.fill("0.9")
+    with tab.page.expect_response(lambda answer: answer.request.method == "GET" and answer.url.endswith("/maps/slow")):
+        precision.press("Enter")
+    tab.page.wait_for_timeout(200)
+    route, before = held[0]
+    with tab.page.expect_response("**/maps/slow"):
+        route.fulfill(response=before)
+    tab.page.wait_for_timeout(200)
+    assert precision.input_value() == "0.9"

@@ -29,14 +29,17 @@ export function mapScreen(name) {
   const element = h("div", {}, h("p", {}, "Loading …"));
   const wrong = h("div");
   let left = false;
+  let loads = 0;
   let stop = () => {};
   let jobs = null;
   let sections = null; // once the map is there
   let map = null;
 
   async function load() {
-    map = await call("GET", path);
-    if (left) return;
+    const mine = ++loads;
+    const facts = await call("GET", path);
+    if (left || mine !== loads) return; // what was asked for later is newer
+    map = facts;
     chooseMap(name);
     if (!sections) draw();
     for (const one of sections) one.show(map);
