@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import httpx
@@ -79,3 +80,23 @@ def test_what_a_key_may_not_do_is_refused_with_the_reason(opened: Open, locked: 
     tab.page.get_by_role("button", name="Delete this view …").click()
     tab.confirm("Delete the view")
     assert "has the scope read; this needs write" in tab.page.get_by_role("dialog").get_by_role("alert").inner_text()
+
+
+def test_a_file_that_was_chosen_to_be_restored_outlives_a_key_that_ends(
+    opened: Open, locked: Locked, tmp_path: Path
+) -> None:
+    service, keys = locked
+    (tmp_path / "vault.snapshot").write_bytes(b"x" * 1000)
+    tab = opened("snapshots", url=service.url, refusals=True)
+    sign_in(tab, keys["admin"])
+    tab.page.get_by_role("dialog").wait_for(state="detached")
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(tmp_path / "vault.snapshot")
+    tab.page.get_by_label("Under another name").fill("cellar")
+    tab.page.evaluate("sessionStorage.setItem('revisit-key', 'rv_ended')")
+    tab.page.get_by_role("button", name="Restore", exact=True).click()
+    tab.page.get_by_role("dialog").wait_for()
+    sign_in(tab, keys["admin"])
+    tab.page.get_by_role("dialog").wait_for(state="detached")
+    assert tab.page.get_by_label("Under another name").input_value() == "cellar"
+    tab.page.get_by_role("button", name="Restore", exact=True).click()
+    tab.page.get_by_role("alert").filter(has_text="snapshot").wait_for()

@@ -155,9 +155,9 @@ function signIn(problem = null) {
   dialog.showModal();
 }
 
-/** Begin anew, with what this key may see. Photos that were chosen to be enrolled, and what was typed, stay. */
+/** Begin anew, with what this key may see. Files to be enrolled or restored, and what was typed of them, stay. */
 function restart() {
-  for (const name of [...kept.keys()]) if (name !== "enrol") kept.delete(name);
+  kept.delete("ask");
   const open = document.querySelector("dialog[open]"); // a view that is being edited belongs to the present screen
   if (open) open.addEventListener("close", show, { once: true });
   else show();
