@@ -54,3 +54,15 @@ def test_a_folder_that_is_dropped_is_opened(opened: Open, folder: Path) -> None:
     tab.page.get_by_role("button", name="Enrol 3 photos").wait_for()
     assert tab.page.locator(".files .name").all_inner_texts() == ["trip/a.jpg", "trip/b.jpg", "trip/monday/c.jpg"]
     assert "Left out" not in tab.page.locator("main").inner_text()
+
+
+def test_of_several_photos_that_are_dropped_on_ask_the_first_is_sent_and_that_is_said(
+    opened: Open, folder: Path
+) -> None:
+    tab = opened("ask")
+    drop(tab, [folder / "b.jpg", folder / "a.jpg"], *middle(tab, ".drop"))
+    tab.page.get_by_text("The first of 2 files: one photo is asked at a time.").wait_for()
+    tab.page.get_by_alt_text("Your photo, b.jpg").wait_for()
+    drop(tab, [folder / "a.jpg"], *middle(tab, ".drop"))
+    tab.page.get_by_alt_text("Your photo, a.jpg").wait_for()
+    assert "The first of" not in tab.page.locator("main").inner_text()

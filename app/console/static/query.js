@@ -38,11 +38,11 @@ export function queryScreen() {
     h(
       "div",
       { class: "row" },
-      picker("Choose a photo", { accept: "image/*" }, ([chosen]) => take(chosen)),
-      picker("Take a photo", { accept: "image/*", capture: "environment" }, ([chosen]) => take(chosen)),
+      picker("Choose a photo", { accept: "image/*" }, take),
+      picker("Take a photo", { accept: "image/*", capture: "environment" }, take),
     ),
   );
-  takesDrops(drop, ([dropped]) => take(dropped));
+  takesDrops(drop, take);
 
   const precision = h(
     "select",
@@ -125,7 +125,7 @@ export function queryScreen() {
   const result = h("div", {}, h("p", { class: "quiet" }, "The answer appears here: the place, how sure, and why."));
   const below = h("div");
 
-  function take(chosen) {
+  function take([chosen, ...others]) {
     if (!chosen) return;
     if (url) URL.revokeObjectURL(url);
     file = chosen;
@@ -137,7 +137,8 @@ export function queryScreen() {
         preview.replaceWith(h("p", {}, chosen.name));
       },
     });
-    photo.replaceChildren(preview);
+    const first = `The first of ${others.length + 1} files: one photo is asked at a time.`;
+    photo.replaceChildren(preview, others.length ? h("p", { class: "quiet" }, first) : "");
     again.disabled = false;
     ask();
   }
@@ -197,7 +198,7 @@ export function queryScreen() {
 
   function pasted(event) {
     const image = [...event.clipboardData.files].find((one) => one.type.startsWith("image/"));
-    if (image) take(image);
+    if (image) take([image]);
   }
 
   return {
