@@ -9,8 +9,9 @@ from schemas.errors import EncoderAway
 from schemas.image import Image
 from schemas.inference import JSON_LENGTH, Tensor, packed
 from tests.encoders.inference_server import Answer, Handler, InferenceServer, says
-from tests.encoders.test_shared import PATIENCE_S, PIXELS, client, segmenting, server
+from tests.encoders.test_shared import PIXELS, client, segmenting, server
 from tests.sample_images import drawn
+from tests.waiting import PATIENCE_S
 from worker.encoders.compact.shared import SharedCompactEncoder
 from worker.encoders.inference_client import FailedImage, InferenceClient
 
