@@ -1,8 +1,7 @@
 """``revisit calibrate``: fit a map's confidences to labelled images of one's own site."""
 
 import argparse
-import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +15,10 @@ if TYPE_CHECKING:
     from revisit_client import Revisit
     from revisit_client.wire import CalibrationReport, HeldOutFigures, MeasuredRate, QueryAnswer
 
+    from schemas.records import ViewAttributes
+    from worker.service import manifests
+
 FRAMES = (("x", "y"), ("lat", "lon"))
-COLUMNS = ("file", "place", "x", "y", "lat", "lon", "block")
 MOST = 5000
 
 
@@ -34,8 +35,8 @@ def add(verbs: Verbs) -> None:
         type=Path,
         nargs="?",
         metavar="CSV",
-        help="columns: file (relative to the CSV), and place (empty: none of the map's places), or x and y, or lat and "
-        "lon; optionally block, such as a drive. Rows in the order of capture",
+        help="a table as imports take them; columns: file (relative to the table), and place (empty: none of the map's "
+        "places), or x and y, or lat and lon; optionally block, such as a drive. Rows in the order of capture",
     )
     parser.add_argument("--map", default="default", help="which map (default: default)")
     parser.add_argument(
@@ -103,39 +104,33 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def read(path: Path) -> list[Row]:
-    """The labelled images of a CSV file; raises Failure when it cannot be used."""
+    """The labelled images of a table, read as manifests are; raises Failure when it cannot be used."""
+    from worker.service import manifests
+
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        wrong_use(f"{path}: not a CSV file in UTF-8")
-    reader = csv.DictReader(text.splitlines())
-    columns = set(reader.fieldnames or ())
-    labels = [names for names in (("place",), *FRAMES) if columns.issuperset(names)]
-    if "file" not in columns or len(labels) != 1 or not columns.issubset(COLUMNS):
-        wrong_use(f"{path}: the first line needs to be file,place or file,x,y or file,lat,lon, and block if you like")
-    rows = [_row(path, line, row) for line, row in enumerate(reader, start=2)]
-    if not 0 < len(rows) <= MOST:
-        wrong_use(f"{path}: has {len(rows)} rows; 1 to {MOST} are taken")
-    return rows
+        manifest = manifests.read_manifest(str(path), path.read_bytes())
+        given = [manifests.attributes(row, str(path)) for row in manifest.rows]
+    except ValueError as error:
+        wrong_use(str(error))
+    labels = [names for names in (("place",), *FRAMES) if set(names).issubset(manifest.columns)]
+    if len(labels) != 1 or not {*manifests.NAMES, "block"}.issuperset(manifest.columns):
+        wrong_use(f"{path}: the first line needs to name file, and place or x,y or lat,lon, and block if you like")
+    if not 0 < len(given) <= MOST:
+        wrong_use(f"{path}: has {len(given)} rows; 1 to {MOST} are taken")
+    return [_row(path, row, known, labels[0]) for row, known in zip(manifest.rows, given, strict=True)]
 
 
-def _row(path: Path, line: int, row: Mapping[str, str | None]) -> Row:
-    image = path.parent / (row["file"] or "")
+def _row(path: Path, row: "manifests.Row", known: "ViewAttributes", label: tuple[str, ...]) -> Row:
+    image = path.parent / row.file
     if not image.is_file():
-        wrong_use(f"{path}, line {line}: there is no file {image}")
+        wrong_use(f"{path}, line {row.line}: there is no file {image}")
     position = None
-    geographic = "lat" in row
-    if "place" not in row:
-        first, second = (_number(path, line, row, name) for name in FRAMES[geographic])
+    if label in FRAMES:
+        first, second = (getattr(known.position, name) for name in label)
+        if first is None:
+            wrong_use(f"{path}, line {row.line}: has no {' and '.join(label)}")
         position = first, second
-    return Row(image, composed(row.get("place") or "") or None, position, geographic, row.get("block") or None)
-
-
-def _number(path: Path, line: int, row: Mapping[str, str | None], name: str) -> float:
-    try:
-        return number(row[name] or "")
-    except argparse.ArgumentTypeError:
-        wrong_use(f"{path}, line {line}: {name} is {row[name]!r}, which is no number")
+    return Row(image, known.place, position, "lat" in label, row.further.get("block"))
 
 
 def _refuse_unknown_places(revisit: "Revisit", map_name: str, rows: list[Row]) -> None:

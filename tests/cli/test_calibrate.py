@@ -79,6 +79,22 @@ def test_and_by_position_within_a_distance(site: FakeService, tmp_path: Path) ->
     assert not degrees["observed"][0]["right"]  # the map is in metres
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sep=;\nfilename;easting;northing;block\na.jpg;14,0;0,5;1\nb.jpg;30,0;0,0;2\n",
+        "file\tx\ty\tz\theading\tblock\na.jpg\t14\t.5\t3\t90\t1\nb.jpg\t30\t0\t\t\t2\n",
+    ],
+)
+def test_tables_are_read_as_imports_read_them(site: FakeService, tmp_path: Path, text: str) -> None:
+    site.replies["GET /views"] = 200, {"views": [], "next": None}
+    body = calibrated(site, tmp_path, text)
+    assert [(one["right"], one["known"], one["block"]) for one in body["observed"]] == [
+        (True, True, "1"),
+        (False, False, "2"),
+    ]
+
+
 def test_an_image_that_is_refused_is_left_out_and_told(site: FakeService, tmp_path: Path, capsys: Out) -> None:
     _, answer = site.replies["POST /query"]  # type: ignore[misc]
     broken = answers.problem("undecodable-picture", 422, title="The image is truncated or corrupt")
@@ -129,6 +145,8 @@ def test_a_map_returns_to_the_shipped_calibration(site: FakeService, capsys: Out
         ("file,place\n", "has 0 rows"),
         ("file,place\nmoon.jpg,square\n", "line 2: there is no file"),
         ("file,x,y\na.jpg,1,east\n", "line 2: y is 'east'"),
+        ("file,x,y\na.jpg,,\n", "line 2: has no x and y"),
+        ("file,place\na.jpg,square\na.jpg,canal\n", "lines 2 and 3 are both about a.jpg"),
         ("file,place\na.jpg,plaza\n", "no view of the map campus shows 'plaza'"),
     ],
 )

@@ -123,7 +123,7 @@ def read_manifest(name: str, content: bytes) -> Manifest:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"{name}: not a text file in UTF-8") from None
+        raise ValueError(f"{name}: not a text file in UTF-8; spreadsheets save it so as CSV UTF-8") from None
     read = _json_rows if name.lower().endswith((".ndjson", ".jsonl")) else _table_rows
     return Manifest(name, *read(name, text))
 
