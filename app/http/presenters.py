@@ -1,7 +1,6 @@
 """Turns the results of the use-cases into the models of `schemas.wire`."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from datetime import datetime
 from typing import Literal
 
@@ -16,9 +15,7 @@ from worker.service.views import DynamicPreview, LabelledView
 
 def position(position: Position) -> wire.Position | None:
     """A position; None when all its fields are None."""
-    if all(value is None for value in asdict(position).values()):
-        return None
-    return wire.Position(**asdict(position))
+    return None if position == Position() else wire.Position(**vars(position))
 
 
 def label_shares(shares: Floats, labels: Sequence[str]) -> list[wire.LabelShare]:
