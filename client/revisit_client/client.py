@@ -45,7 +45,8 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
     key : str or None
         Key of the service; None takes ``REVISIT_KEY``, or sends none.
     timeout : float
-        Seconds to wait for one answer; to a recording or a snapshot, which come once all of it is stored, without end.
+        Seconds without anything from the service after which an answer is given up; one that keeps coming is not, and
+        that to a recording or a snapshot, which comes once all of it is stored, is waited for without end.
     patience : float
         Seconds over which a call is repeated while the service is busy (429) or starting (503), or after a lost answer;
         Retry-After is honoured. 0 never repeats. Enrolments carry an Idempotency-Key, so that repeating is safe.

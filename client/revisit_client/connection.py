@@ -44,7 +44,7 @@ class Connection:
     key : str or None
         Sent with every request; None sends none.
     timeout : float
-        Seconds to wait for one answer.
+        Seconds without anything from the service after which an answer is given up; one that keeps coming is not.
     patience : float
         Seconds over which a request is repeated.
     transport : httpx.BaseTransport or None
