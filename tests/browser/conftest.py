@@ -1,6 +1,7 @@
 """A browser on a running service: Debian's Chromium, driven by Playwright; nothing is downloaded."""
 
 import re
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 PLACES = {"mill lane": (0, 0), "station road": (40, 5), "rose garden": (80, -12), "castle park": (31, 60)}
 """Names, and positions in metres."""
+SETTINGS = {"REVISIT_ENCODER": "compact", "REVISIT_COMPARE": "false"}
+
 PHONE: "ViewportSize" = {"width": 375, "height": 740}
 LAPTOP: "ViewportSize" = {"width": 1280, "height": 800}
 
@@ -122,16 +125,25 @@ def chromium() -> Iterator["Browser"]:
         yield browser
 
 
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory, chromium: "Browser") -> Iterator[RunningService]:
-    """A service with the built-in encoder and the map `town` of four places."""
-    data = tmp_path_factory.mktemp("data")
-    with RunningService(data, REVISIT_ENCODER="compact", REVISIT_COMPARE="false") as running:
+@pytest.fixture(scope="session")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of a service that has stopped: the map `town` of four places, by the built-in encoder."""
+    data = tmp_path_factory.mktemp("town") / "data"
+    with RunningService(data, **SETTINGS) as running:
         for name, (x, y) in PLACES.items():
             for step in (0, 1):
                 look = taken(name, 12 * step)
                 fields = {"map": "town", "place": name, "x": str(x + step), "y": str(y)}
                 httpx.post(f"{running.url}/enroll", files={"image": look}, data=fields, timeout=60).raise_for_status()
+    return data
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory, chromium: "Browser", town: Path) -> Iterator[RunningService]:
+    """A service with the map `town`."""
+    data = tmp_path_factory.mktemp("data")
+    shutil.copytree(town, data, dirs_exist_ok=True)
+    with RunningService(data, **SETTINGS) as running:
         yield running
 
 

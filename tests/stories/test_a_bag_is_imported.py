@@ -20,11 +20,13 @@ from worker.images.codec import Limits
 from worker.service import opening, recordings
 from worker.service.bags import position_at
 
+pytestmark = pytest.mark.one_database("it is about what a recording says; archives are imported into both")
+
 MCAP = {"content-type": "application/x-mcap"}
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
     with RunningService(tmp_path_factory.mktemp("bags"), REVISIT_COMPARE="false") as one:
         yield one
 

@@ -20,7 +20,7 @@ from worker.storage.snapshot_files import SnapshotReader
 pytestmark = pytest.mark.one_database("it has databases of its own")
 
 JPEG = {"content-type": "image/jpeg"}
-IMAGES = 150
+IMAGES = 80
 
 
 @pytest.fixture

@@ -18,11 +18,13 @@ from tests.stories.running import RunningService
 from tests.waiting import until
 from worker.images.apart.video import Video
 
+pytestmark = pytest.mark.one_database("it is about what a recording says; archives are imported into both")
+
 MP4 = {"content-type": "video/mp4"}
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
     with RunningService(tmp_path_factory.mktemp("videos"), REVISIT_COMPARE="false") as one:
         yield one
 
@@ -144,7 +146,6 @@ def decoder_of(pid: int) -> psutil.Process | None:
     return None
 
 
-@pytest.mark.one_database("a decoder is stopped, not a job")
 def test_a_stop_waits_for_no_frame_that_is_far(tmp_path: Path) -> None:
     """Between the frames that are wanted, thousands may be decoded."""
     body = video(tmp_path / "a.avi", frames(4, 256), 1)

@@ -45,13 +45,12 @@ def test_it_does_not_depend_on_how_many_matches_are_wanted(client: CheckedClient
 
 def test_the_order_does_not_depend_on_it_either(tmp_path: Path) -> None:
     """Where few are re-ranked, or none: a view that is eleventh by both channels may be among the first ten."""
-    kinds = ("lane", "park", "corridor")
     with CheckedClient(create_app(build(settings(tmp_path, compare=False)))) as client:
-        for name in (f"{kind} {n}" for n in range(8) for kind in kinds):
+        for name in (f"corridor {n}" for n in range(24)):  # the quickest to draw
             taken = jpeg(scene(name).sized(320, 240).pixels)
             client.post(f"/enroll?place={name}", content=taken, headers={"content-type": "image/jpeg"})
-        for candidates, kind in product((0, 2), kinds):
-            taken = jpeg(scene(f"{kind} 3").seen_from(dx=0.7, turn=5).at("dusk").sized(320, 240).pixels)
+        for candidates, n in product((0, 2), range(3)):
+            taken = jpeg(scene(f"corridor {n}").seen_from(dx=0.7, turn=5).at("dusk").sized(320, 240).pixels)
             few, many = (
                 client.post(
                     f"/query?top={top}&candidates={candidates}", content=taken, headers={"content-type": "image/jpeg"}

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.one_database(
 )
 
 
-@pytest.mark.parametrize(("kind", "kills"), [("serve", 8), ("worker", 5), ("switch", 4), ("migration", 10)])
+@pytest.mark.parametrize(("kind", "kills"), [("serve", 6), ("worker", 4), ("switch", 3), ("migration", 6)])
 def test_nothing_acknowledged_is_lost_by_kills_at_any_moment(kind: str, kills: int, tmp_path: Path) -> None:
     """`python -m lab.faults.kills --kills 3000` is the long run."""
     counts: Counter[str] = Counter()

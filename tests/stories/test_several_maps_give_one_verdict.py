@@ -10,13 +10,15 @@ from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
 from tests.waiting import advanced
 
+pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
+
 JPEG = {"content-type": "image/jpeg"}
 HOUSE = building(seed=3, floors=2, spots=3, kind="lobby")
 BOTH = "floor1,floor2"
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory, database: str) -> Any:
+def client(tmp_path_factory: pytest.TempPathFactory) -> Any:
     data = tmp_path_factory.mktemp("house")
     with RunningService(data, REVISIT_ENCODER="compact") as one, httpx.Client(base_url=one.url, timeout=60) as client:
         for floor, spot, image in HOUSE.enrolments():

@@ -10,7 +10,7 @@ from lab.faults.contract import try_contract
 from lab.faults.live_service import LiveService
 
 SEED = 20_261_123
-EXAMPLES = 12
+EXAMPLES = 8
 
 
 @pytest.fixture
