@@ -61,6 +61,7 @@ def test_an_owner_sees_what_a_map_lacks_and_mends_it(opened: Open, service: Runn
     duplicates = tab.page.locator("[data-code=duplicates]")
     tab.awaits("[data-code=duplicates] .side img[src^=blob]", 2)
     assert "are enrolled as hall, stairs" in duplicates.inner_text().replace(" and ", ", ")
+    assert "give all of them one place." in duplicates.inner_text()  # not by which call of the API
     directions = tab.page.locator("[data-code=missing-directions]")
     assert directions.get_by_text("Not towards").count() == 0
     tab.page.get_by_role("button", name="Missing directions: 3").press("Enter")

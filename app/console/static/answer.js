@@ -212,6 +212,9 @@ function changesOf(answer, first) {
   ];
 }
 
+const duration = (ms) =>
+  ms < 1000 ? `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms` : `${(ms / 1000).toFixed(1)} s`;
+
 /** How long each stage of the query took. */
 function timesOf(answer) {
   const { total, ...stages } = answer.timing_ms;
@@ -219,8 +222,8 @@ function timesOf(answer) {
   return h(
     "div",
     {},
-    h("p", {}, total === undefined ? null : `${Math.round(total)} ms in all.`),
-    bars(Object.entries(stages), { of: longest, text: (ms) => `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms` }),
+    h("p", {}, total === undefined ? null : `${duration(total)} in all.`),
+    bars(Object.entries(stages), { of: longest, text: duration }),
   );
 }
 

@@ -26,6 +26,9 @@ const KINDS = [
   ["single-view", "Single views", "Places that were enrolled once.", false],
 ];
 
+/** A remedy without what a program would call: here a view is edited by its photo. */
+const withoutCalls = (remedy) => remedy.replace(/ \((DELETE|PATCH) [^)]*\)/g, "");
+
 export function healthScreen(name) {
   const path = `/maps/${encodeURIComponent(name)}`;
   const shown = h("div", {}, h("p", {}, "Examining the map …"));
@@ -109,7 +112,7 @@ export function healthScreen(name) {
       { class: "finding" },
       h("p", {}, sentence(one.detail)),
       images,
-      h("p", { class: "quiet" }, sentence(one.remedy)),
+      h("p", { class: "quiet" }, sentence(withoutCalls(one.remedy))),
       one.proposal && refreshing(one),
     );
   }
