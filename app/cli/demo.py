@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 MOST = 0.75
 """Share of known places that must be recognised for the exit code 0."""
 
+SEEN_EVERY = 5
+"""Of the first of every five answers the match is also drawn as the service saw it: finer labels take a second."""
+
 REFUSED = (413, 415, 422)
 """Statuses that say something of the image alone."""
 
@@ -169,8 +172,9 @@ def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[li
                 view = answer.matches[0].view.id
                 name = f"{number:02d}-{query.path.stem}"
                 write_file(folder / f"{name}-why.png", revisit.explanation(answer.query.id))
-                write_file(folder / f"{name}-labels.png", revisit.segmentation(view, overlay=True, legend=True))
-                write_file(folder / f"{name}-graph.png", revisit.graph(view, legend=True))
+                if number % SEEN_EVERY == 1:
+                    write_file(folder / f"{name}-labels.png", revisit.segmentation(view, overlay=True, legend=True))
+                    write_file(folder / f"{name}-graph.png", revisit.graph(view, legend=True))
             step(query.path.name)
     path = shlex.quote(str(material.queries[0].path))
     call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"
@@ -200,8 +204,8 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path, *, keep
         show(f"  {call}")
     show(f"\nimages: {output}")
     show("  answers/*-why.png     what decided: query, match and rival, with what agrees")
-    show("  answers/*-labels.png  segmentation of the match")
-    show("  answers/*-graph.png   context graph of the match")
+    show("  answers/*-labels.png  segmentation of the match, of every fifth answer")
+    show("  answers/*-graph.png   its context graph")
 
 
 def _confidence_line(unsure: int) -> str:
