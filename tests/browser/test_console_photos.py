@@ -9,6 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
+from lab.faults.heics import heics
 from scenes import Scene, scene
 from scenes.refurnishing import Piece, furnished
 from tests.browser.conftest import Open, Tab
@@ -48,6 +49,30 @@ def test_a_filter_of_metadata_without_a_value_is_refused(opened: Open, query_pho
         tab.page.get_by_role("button", name="Ask").click()
     assert "metadata.floor=2" in query.value.url.split("?")[1].split("&")
     tab.page.get_by_role("heading", name="Not recognised").wait_for()
+
+
+# formats that the browser does not know
+
+
+def test_a_photo_that_the_browser_cannot_show_is_asked_and_enrolled_all_the_same(opened: Open, tmp_path: Path) -> None:
+    """The picture of a broken image was drawn as large as the photo, with lines to its corners."""
+    (tmp_path / "phone.heic").write_bytes(heics()["plain"])
+    tab = opened()
+    tab.page.get_by_label("Choose a photo").set_input_files(tmp_path / "phone.heic")
+    tab.page.locator("svg.pairs text", has_text="this browser cannot show it").wait_for()
+    assert tab.page.locator("svg.pairs image").count() == 1
+    tab.page.wait_for_function("() => document.querySelector('svg.pairs image').href.baseVal.startsWith('blob:')")
+
+    tab.show("enrol")
+    tab.page.get_by_label("Choose photos").set_input_files(tmp_path / "phone.heic")
+    tab.awaits(".files .not-shown", 1)
+    tab.page.get_by_label("or a new map").fill("phones")
+    tab.page.get_by_role("button", name="Enrol 1 photo").click()
+    tab.page.locator(".files .done").wait_for()
+    assert tab.page.locator(".files img").count() == 0
+
+    tab.show("maps/phones")
+    tab.shows_its_images()  # the service's own are JPEG
 
 
 # what becomes of photos

@@ -4,6 +4,7 @@ import { call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
 import { MAP_NAME, announce, checkbox, count, field, h, picker, problemBox, staying, takesDrops } from "./dom.js";
+import { NOT_SHOWN } from "./images.js";
 import { placing } from "./placing.js";
 import { FRAMES, typedPosition } from "./positions.js";
 import { RECORDINGS, recording } from "./recording.js";
@@ -166,10 +167,11 @@ export function enrolScreen() {
       spellcheck: "false",
     });
     one.status = h("span", { class: "waiting" }, "waiting");
+    const notShown = h("span", { class: "not-shown", title: NOT_SHOWN });
     one.element = h(
       "li",
       { onfocusin: () => used(one) },
-      h("img", { src: one.url, alt: "", loading: "lazy", onerror: (event) => event.target.removeAttribute("src") }),
+      h("img", { src: one.url, alt: "", loading: "lazy", onerror: ({ target }) => target.replaceWith(notShown) }),
       h(
         "div",
         {},

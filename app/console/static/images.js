@@ -10,6 +10,9 @@ const TRIES = 4;
 /** Shown in place of an image that was removed. */
 export const NOT_KEPT = "image not kept";
 
+/** Shown in place of an image of a format that the browser does not know, as most do not know HEIC and TIFF. */
+export const NOT_SHOWN = "this browser cannot show it";
+
 const kept = new Map(); // path -> promise of a blob's URL, least recently shown first
 const waiting = [];
 let running = 0;
@@ -116,8 +119,9 @@ export function drawing(path, alt, caption) {
   imageUrl(path).then(
     (url) => {
       figure.classList.remove("missing");
+      const shown = h("img", { src: url, alt, onerror: () => shown.replaceWith(`${alt}: ${NOT_SHOWN}`) });
       figure.replaceChildren(
-        h("a", { href: url, target: "_blank", "aria-label": `${alt}, in a new tab` }, h("img", { src: url, alt })),
+        h("a", { href: url, target: "_blank", "aria-label": `${alt}, in a new tab` }, shown),
         h("figcaption", {}, caption),
       );
     },

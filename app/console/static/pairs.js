@@ -1,7 +1,7 @@
 // The query and a view side by side, joined where they agree. Hovering or choosing a region shows its label.
 
 import { checkbox, decimals, h, svg } from "./dom.js";
-import { imageUrl } from "./images.js";
+import { imageUrl, NOT_SHOWN } from "./images.js";
 
 const HEIGHT = 1000; // of both photos in the drawing's own units
 const GAP = 24;
@@ -24,14 +24,19 @@ class SideBySide {
     this.right = ([x, y]) => [right.x + x * right.unit, y * right.unit];
     this.unit = left.unit;
     const theirs = svg("image", { x: right.x, y: 0, width: right.width, height: HEIGHT });
-    imageUrl(view.links.image).then(
+    // No larger than it is drawn, and JPEG whatever was enrolled.
+    imageUrl(`${view.links.thumbnail}?size=1024`).then(
       (url) => theirs.setAttribute("href", url),
       () => {},
     );
+    const ours = svg("image", { x: 0, y: 0, width: left.width, height: HEIGHT, href: photo, onerror });
+    function onerror() {
+      ours.replaceWith(svg("text", { x: left.width / 2, y: HEIGHT / 2, class: "not-shown" }, NOT_SHOWN));
+    }
     this.element = svg(
       "svg",
       { class: "pairs", viewBox: `0 0 ${right.x + right.width} ${HEIGHT}`, role: "img", "aria-label": label },
-      svg("image", { x: 0, y: 0, width: left.width, height: HEIGHT, href: photo }),
+      ours,
       theirs,
     );
   }
