@@ -130,7 +130,8 @@ def _row(path: Path, row: "manifests.Row", known: "ViewAttributes", label: tuple
         if first is None:
             wrong_use(f"{path}, line {row.line}: has no {' and '.join(label)}")
         position = first, second
-    return Row(image, known.place, position, "lat" in label, row.further.get("block"))
+    block = row.further.get("block")
+    return Row(image, known.place, position, "lat" in label, None if block is None else str(block))
 
 
 def _refuse_unknown_places(revisit: "Revisit", map_name: str, rows: list[Row]) -> None:

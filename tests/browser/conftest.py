@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 PLACES = {"mill lane": (0, 0), "station road": (40, 5), "rose garden": (80, -12), "castle park": (31, 60)}
 """Names, and positions in metres."""
+
 SETTINGS = {"REVISIT_ENCODER": "compact", "REVISIT_COMPARE": "false"}
+"""Of the services that have the map of these places."""
 
 PHONE: "ViewportSize" = {"width": 375, "height": 740}
 LAPTOP: "ViewportSize" = {"width": 1280, "height": 800}

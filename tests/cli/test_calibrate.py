@@ -38,10 +38,10 @@ def _place(name: str) -> dict[str, Any]:
     return {"map": "campus", "place": name, "views": 2, "position": None, "last_enrolled_at": answers.NOON}
 
 
-def calibrated(site: FakeService, folder: Path, text: str, *options: str) -> dict[str, Any]:
-    """What was sent for a CSV file."""
-    (folder / "labels.csv").write_text(text)
-    assert main(["calibrate", str(folder / "labels.csv"), "--map", "campus", *options]) == 0
+def calibrated(site: FakeService, folder: Path, text: str, *options: str, name: str = "labels.csv") -> dict[str, Any]:
+    """What was sent for a table."""
+    (folder / name).write_text(text)
+    assert main(["calibrate", str(folder / name), "--map", "campus", *options]) == 0
     body: dict[str, Any] = json.loads(next(b for path, b in site.requests if path == "POST /maps/campus/calibration"))
     return body
 
@@ -80,15 +80,20 @@ def test_and_by_position_within_a_distance(site: FakeService, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("name", "text"),
     [
-        "sep=;\nfilename;easting;northing;block\na.jpg;14,0;0,5;1\nb.jpg;30,0;0,0;2\n",
-        "file\tx\ty\tz\theading\tblock\na.jpg\t14\t.5\t3\t90\t1\nb.jpg\t30\t0\t\t\t2\n",
+        ("labels.csv", "sep=;\nfilename;easting;northing;block\na.jpg;14,0;0,5;1\nb.jpg;30,0;0,0;2\n"),
+        ("labels.tsv", "file\tx\ty\tz\theading\tblock\na.jpg\t14\t.5\t3\t90\t1\nb.jpg\t30\t0\t\t\t2\n"),
+        (
+            "labels.jsonl",
+            '{"file": "a.jpg", "x": 14, "y": 0, "block": 1}\n{"file": "b.jpg", "x": 30, "y": 0, "block": 2}\n',
+        ),
     ],
+    ids=["csv", "tsv", "jsonl"],
 )
-def test_tables_are_read_as_imports_read_them(site: FakeService, tmp_path: Path, text: str) -> None:
+def test_tables_are_read_as_imports_read_them(site: FakeService, tmp_path: Path, name: str, text: str) -> None:
     site.replies["GET /views"] = 200, {"views": [], "next": None}
-    body = calibrated(site, tmp_path, text)
+    body = calibrated(site, tmp_path, text, name=name)
     assert [(one["right"], one["known"], one["block"]) for one in body["observed"]] == [
         (True, True, "1"),
         (False, False, "2"),
