@@ -54,7 +54,9 @@ def test_a_filter_of_metadata_without_a_value_is_refused(opened: Open, query_pho
 # formats that the browser does not know
 
 
-def test_a_photo_that_the_browser_cannot_show_is_queried_and_enrolled_all_the_same(opened: Open, tmp_path: Path) -> None:
+def test_a_photo_that_the_browser_cannot_show_is_queried_and_enrolled_all_the_same(
+    opened: Open, tmp_path: Path
+) -> None:
     """The picture of a broken image was drawn as large as the photo, with lines to its corners."""
     (tmp_path / "phone.heic").write_bytes(heics()["plain"])
     tab = opened()
