@@ -14,7 +14,7 @@ from tests.storage.databases import data_folder
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("error", ["ENOSPC"])
+@pytest.mark.parametrize("error", ["ENOSPC", "EDQUOT"])
 def test_an_operation_is_done_or_undone_whichever_of_its_writes_fails(tmp_path: Path, error: str) -> None:
     with data_folder() as data, failing_writes(tmp_path, under=data) as faults:
         done = subprocess.run(
