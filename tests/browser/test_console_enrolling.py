@@ -135,3 +135,33 @@ def test_refused_photos_come_first_and_the_field_that_is_typed_in_keeps_the_focu
     tab.page.locator("main").get_by_text("4 of 4 photos done, 1 refused.").wait_for()
     assert tab.page.locator(".files .name").first.inner_text() == "note.jpg"
     assert tab.page.evaluate("document.activeElement.ariaLabel") == "Place of 0.jpg"
+
+
+def test_on_a_full_disk_the_other_photos_are_not_sent_and_wait_until_there_is_room(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    photos = [tmp_path / f"{number}.jpg" for number in range(5)]
+    for number, path in enumerate(photos):
+        path.write_bytes(drawn_photo(900 + number))
+    sent: list[str] = []
+    full = {"title": "The disk is full", "status": 507, "code": "disk-full", "detail": "2 MB are free"}
+
+    def refuse(route: "Route") -> None:
+        sent.append(route.request.url)
+        route.fulfill(status=507, json=full, content_type="application/problem+json")
+
+    tab = opened("enrol")
+    tab.page.route("**/enroll", refuse)
+    tab.page.get_by_label("or a new map").fill("full")
+    tab.page.get_by_label("Choose photos").set_input_files(photos)
+    tab.page.get_by_role("button", name="Enrol 5 photos").click()
+    tab.page.get_by_role("alert").get_by_text("2 MB are free").wait_for()
+    tab.page.get_by_role("button", name="Enrol 5 photos").wait_for()
+    assert 1 <= len(sent) <= 2  # as many as are sent at once
+    assert tab.page.locator(".files .waiting").count() == 5 - len(sent)
+
+    tab.complaints.clear()  # of the full disk
+    tab.page.unroute("**/enroll")
+    tab.page.get_by_role("button", name="Enrol 5 photos").click()
+    tab.awaits(".files .done", 5)
+    assert len(views(service, "full")) == 5

@@ -12,6 +12,7 @@ import { RECORDINGS, recording } from "./recording.js";
 const AT_ONCE = 2;
 const TRIES = 5;
 const PASSING = { 0: "does not answer", 429: "is busy", 503: "is busy" }; // it may be starting again
+const FOR_ALL = [0, 401, 507]; // away, without a key, the disk is full: the other photos would get the same
 const IMAGES = /\.(jpe?g|png|webp|bmp|tiff?|heic|heif)$/i;
 
 /** What was wrong with one photo, in a line. */
@@ -265,7 +266,7 @@ export function enrolScreen() {
           await new Promise((resolve) => setTimeout(resolve, seconds * 1000));
         } else {
           mark(one, "refused", refusal(error));
-          if ([0, 401].includes(error.status)) throw error; // the others would get the same
+          if (FOR_ALL.includes(error.status)) throw error;
           return;
         }
       }
@@ -291,15 +292,21 @@ export function enrolScreen() {
       map = await wanted();
       const enrolling = async () => {
         for (let one = queue.shift(); one; one = queue.shift()) {
-          await enrol(one, map);
+          try {
+            await enrol(one, map);
+          } catch (error) {
+            queue.length = 0;
+            throw error;
+          }
           finished += 1;
           tell();
         }
       };
-      await staying(() => Promise.all(Array.from({ length: AT_ONCE }, enrolling)));
+      const ended = await staying(() => Promise.allSettled(Array.from({ length: AT_ONCE }, enrolling)));
+      const failed = ended.find(({ reason }) => reason);
+      if (failed) throw failed.reason;
       announce(summary.textContent);
     } catch (error) {
-      queue.length = 0;
       if (error.status !== 401) notice.replaceChildren(problemBox(error));
     } finally {
       running = false;
