@@ -125,7 +125,8 @@ def problem_of(answer: httpx.Response) -> wire.Problem:
     try:
         return wire.Problem.model_validate(answer.json(), extra="ignore")
     except (ValidationError, ValueError):
-        moved = answer.headers.get("location", "")[:200] if answer.is_redirect else ""
+        there = answer.headers.get("location", "") if answer.is_redirect else ""
+        moved = without_password(there.partition("?")[0])[:200]
         return wire.Problem(
             type="about:blank",
             title=f"HTTP {answer.status_code} {answer.reason_phrase}".strip(),

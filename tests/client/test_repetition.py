@@ -272,6 +272,15 @@ def test_a_time_to_wait_that_is_over_is_no_reason_to_call_without_a_pause(named:
     assert clock.naps == [0.25, 0.5, 1.0]
 
 
+def test_an_address_that_redirects_is_told_without_its_password() -> None:
+    there = "https://me:secret@test/x?to=a@b"
+    revisit = client(lambda _: httpx.Response(308, headers={"location": there}))
+    with pytest.raises(RevisitProblem) as told:
+        revisit.maps()
+    assert "redirects to https://***@test/x; give that one" in str(told.value)
+    assert "secret" not in str(told.value)
+
+
 def test_an_address_that_redirects_is_told_and_taken_for_no_answer(tmp_path: Path) -> None:
     revisit = client(lambda _: httpx.Response(301, text="<html>moved</html>", headers={"location": "https://test/x"}))
     for call in (
