@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 import httpx
+from pydantic import RootModel
 
 from revisit_client import wire
 from revisit_client.connection import Connection
@@ -48,8 +49,9 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         Seconds without anything from the service after which an answer is given up; one that keeps coming is not, and
         that to a recording or a snapshot, which comes once all of it is stored, is waited for without end.
     patience : float
-        Seconds over which a call is repeated while the service is busy (429) or starting (503), or after a lost answer;
-        Retry-After is honoured. 0 never repeats. Enrolments carry an Idempotency-Key, so that repeating is safe.
+        Seconds over which a call is repeated while the service is busy (429) or starting (503), or after a lost answer,
+        a gateway's 502 or 504 within a call among them; Retry-After is honoured. 0 never repeats. Enrolments carry an
+        Idempotency-Key, so that repeating is safe.
     transport : httpx.BaseTransport or None
         For tests.
     sleep, clock : callable
@@ -336,5 +338,4 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
 
     def openapi(self) -> dict[str, Any]:
         """The service's OpenAPI document."""
-        document: dict[str, Any] = self._connection.send("GET", "/openapi.json").json()
-        return document
+        return self._connection.receive(RootModel[dict[str, Any]], "GET", "/openapi.json").root

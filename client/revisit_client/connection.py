@@ -26,6 +26,9 @@ USER_AGENT = "revisit-client"
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 8.0
 """Seconds between repetitions without Retry-After: each pause is twice the previous one."""
 
+GATEWAY = (502, 504)
+"""What a gateway answers for a service that it does not reach; the service itself never does."""
+
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "http_proxy", "https_proxy", "all_proxy")
 
 Answer = TypeVar("Answer", bound=BaseModel)
@@ -204,7 +207,8 @@ class Connection:
         stream : bool
             Whether the body of the answer is left to be read, and the answer to be closed, by the caller.
         there : bool
-            Whether the service was just there, so that it may be starting again where it refuses the connection.
+            Whether the service was just there, so that it may be starting again where it refuses the connection, or a
+            gateway does not reach it.
         **request
             Further arguments of `httpx.Client.build_request`.
 
@@ -238,8 +242,11 @@ class Connection:
                 if lost and method == "DELETE" and answer.status_code == 404:
                     problem.detail += MAYBE_DELETED
                 trouble = RevisitProblem(problem, named, is_replayed(answer))
-                # 429 and 503 are answered before any work is done: every request may be repeated.
-                again = there = answer.status_code in (429, 503) or (lost and _still_runs(answer))
+                # 429 and 503 are answered before any work is done: every request may be repeated. What a gateway
+                # refuses may have been done.
+                away = there and repeat and answer.status_code in GATEWAY
+                again = there = away or answer.status_code in (429, 503) or (lost and _still_runs(answer))
+                lost = lost or away
                 # A time that is over by a clock that is ahead must not make calls without a pause.
                 wait = pause if named is None or named < FIRST_PAUSE_S else named
             if not again or self._clock() + wait > deadline:

@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from revisit_client import wire
-from revisit_client.connection import Connection
+from revisit_client.connection import GATEWAY, Connection
 from revisit_client.errors import JobFailed, RevisitProblem, Unreachable
 from revisit_client.parameters import address, texts
 from revisit_client.recordings import Body, folder_as_zip, pieces_of
@@ -16,8 +16,9 @@ from revisit_client.recordings import Body, folder_as_zip, pieces_of
 SILENCE_S = 20.0
 """Seconds without a sign of life after which events count as lost; the service sends one every 5."""
 
-POLLED_INSTEAD = frozenset({404, 405, 429, 503})
-"""Refusals of events after which the job is asked for: an older service, a busy one, or no such job any more."""
+POLLED_INSTEAD = frozenset({404, 405, 429, 503, *GATEWAY})
+"""Refusals of events after which the job is asked for: an older service, a busy one, one that a gateway does not reach,
+or no such job any more."""
 
 
 class JobCalls:

@@ -147,6 +147,12 @@ def test_a_page_of_a_proxy_is_a_problem_too() -> None:
         client(lambda _: httpx.Response(502, text="<html>upstream</html>")).maps()
 
 
+@pytest.mark.parametrize("body", ["<html>sign in</html>", "[]"])
+def test_a_page_of_a_proxy_is_no_openapi_document(body: str) -> None:
+    with pytest.raises(ClientError, match="something that is not revisit's"):
+        client(lambda _: httpx.Response(200, text=body)).openapi()
+
+
 def test_without_a_service_the_error_says_how_to_start_one() -> None:
     def handler(request: httpx.Request) -> httpx.Response:
         raise httpx.ConnectError("[Errno 111] Connection refused")

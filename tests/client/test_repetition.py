@@ -248,6 +248,21 @@ def test_an_answer_that_comes_once_all_is_stored_is_waited_for(tmp_path: Path) -
     assert [(timeout["read"], timeout["write"]) for timeout in seen] == [(None, 60), (None, 60)]
 
 
+@pytest.mark.parametrize("status", [502, 504])
+def test_a_gateway_that_does_not_reach_the_service_is_repeated_where_that_was_just_there(status: int) -> None:
+    """A job runs for hours behind a load balancer, and the service is updated meanwhile."""
+    away = httpx.Response(status, text="<html>gateway</html>")
+    handler = in_turn(
+        httpx.Response(200, json=answers.job()), away, away, httpx.Response(200, json=answers.job("done"))
+    )
+    assert client(handler, Clock()).wait_for_job("j1").state == "done"
+
+    with pytest.raises(RevisitProblem, match=f"HTTP {status}"):  # nobody was there before
+        client(in_turn(away)).query(b"x")
+    with pytest.raises(RevisitProblem, match=f"HTTP {status}"):  # may have been done
+        client(in_turn(refused("unavailable", 503), away), Clock()).make_snapshot("town")
+
+
 def test_an_enrolment_whose_answer_got_lost_waits_for_the_first_that_still_runs() -> None:
     replayed = httpx.Response(201, json=answers.enrolled(), headers={"idempotent-replayed": "true"})
     handler = in_turn(httpx.ReadError("a proxy cut the answer"), refused("conflict", 409), replayed)
