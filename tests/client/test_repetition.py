@@ -257,6 +257,9 @@ def test_a_gateway_that_does_not_reach_the_service_is_repeated_where_that_was_ju
     )
     assert client(handler, Clock()).wait_for_job("j1").state == "done"
 
+    cut = httpx.ReadError("the gateway is told to let go")
+    assert client(in_turn(cut, away, httpx.Response(201, json=answers.enrolled())), Clock()).enroll(b"x").created
+
     with pytest.raises(RevisitProblem, match=f"HTTP {status}"):  # nobody was there before
         client(in_turn(away)).query(b"x")
     with pytest.raises(RevisitProblem, match=f"HTTP {status}"):  # may have been done
