@@ -62,6 +62,7 @@ class Lifecycle:
         """Start the runtime."""
         await asyncio.to_thread(self._runtime.start)
         self._started = True
+        self._check.begin()  # under load its first result would be late, and whoever asks first be told "not ready"
 
     def on_drain(self, call: Callable[[], None]) -> None:
         """Have `call` called, on the event loop, when the service begins to stop."""
@@ -78,10 +79,10 @@ class Lifecycle:
     async def stop(self) -> None:
         """Finish the work under way and stop the runtime."""
         self.drain()
+        await self._check.close()
         await asyncio.to_thread(self._runtime.stop)
         self._thread.shutdown()
         self._statistics.close()
-        self._check.close()
 
     async def readiness(self) -> wire.Readiness:
         """Whether the service can enrol and answer now, and the state of each part."""

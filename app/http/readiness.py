@@ -27,6 +27,9 @@ PATIENCE_S = 0.15
 STALE_S = 30.0
 """Seconds after which a check that has not ended makes the service not ready."""
 
+END_S = 1.0
+"""Seconds that a service which stops waits for a check."""
+
 ENCODER_PATIENCE_S = 5.0
 """Seconds in which the encoder has to answer the test image or another one."""
 
@@ -54,19 +57,26 @@ class ReadinessCheck:
         """The result of a check that is at most `FRESH_S` old, or the last one with its age; within `PATIENCE_S`."""
         if self._last is not None and time.monotonic() - self._last[0] < FRESH_S:
             return self._aged(self._last)
-        if self._running is None or self._running.done():
-            self._began = time.monotonic()
-            self._running = self._thread.submit(self._check)
-        await asyncio.wait([asyncio.wrap_future(self._running)], timeout=PATIENCE_S)
+        running = self.begin()
+        await asyncio.wait([asyncio.wrap_future(running)], timeout=PATIENCE_S)
         lasted = time.monotonic() - self._began
-        if self._last is None or (lasted >= STALE_S and not self._running.done()):
+        if self._last is None or (lasted >= STALE_S and not running.done()):
             checks = {} if self._last is None else self._last[1].checks
             late = {"service": f"the check that began {lasted:.1f} s ago has not ended"}
             return wire.Readiness(ready=False, checks=late | checks)
         return self._aged(self._last)
 
-    def close(self) -> None:
-        """End the thread, without waiting for a check."""
+    def begin(self) -> Future[wire.Readiness]:
+        """Begin a check, unless one is under way; returns that one."""
+        if self._running is None or self._running.done():
+            self._began = time.monotonic()
+            self._running = self._thread.submit(self._check)
+        return self._running
+
+    async def close(self) -> None:
+        """End the thread; a check under way has `END_S` to end, for it reads the database."""
+        if self._running is not None:
+            await asyncio.wait([asyncio.wrap_future(self._running)], timeout=END_S)
         self._thread.shutdown(wait=False)
 
     @staticmethod

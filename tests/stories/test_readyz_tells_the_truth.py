@@ -127,6 +127,28 @@ def test_a_service_too_busy_to_look_in_time_gives_its_last_result(
     running.result(20)  # it reads the database, which is closed now
 
 
+def test_the_first_probe_of_a_service_that_is_busy_since_it_started_finds_it_ready(
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is looked at when it has started: the check of a first probe would have to wait behind the work."""
+    monkeypatch.setattr("app.http.readiness.FRESH_S", 0.0)
+    looked = threading.Event()
+    look = ReadinessCheck._check
+
+    def check(self: ReadinessCheck) -> Any:
+        found = look(self)
+        looked.set()
+        return found
+
+    monkeypatch.setattr(ReadinessCheck, "_check", check)
+    with CheckedClient(create_app(runtime)) as client:
+        assert looked.wait(PATIENCE_S)
+        look_at_disk = runtime.store.check
+        monkeypatch.setattr(runtime.store, "check", lambda: (time.sleep(ANSWER_S), look_at_disk())[1])
+        answer = client.get("/readyz")
+    assert (answer.status_code, answer.json()["checks"]["encoder"]) == (200, "ok")
+
+
 def test_it_is_not_ready_while_the_table_of_views_cannot_be_read(runtime: Runtime, client: CheckedClient) -> None:
     """Its clock and its maps are read each time; without views there is nothing to enrol into or to find."""
     until(client, True)
