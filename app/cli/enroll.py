@@ -42,15 +42,15 @@ class Summary:
 
     def add(self, path: Path, answer: "Enrolled") -> None:
         """Note what became of an image that was taken."""
-        if answer.created:
-            self.enrolled += 1
-        else:
-            self.already_there += 1
         view = answer.view
+        failed = view.state == "failed"
+        self.enrolled += answer.created and not failed
+        self.already_there += not answer.created and not failed
         self.warned += [{"file": str(path), "reason": one.detail} for one in answer.warnings]
         self.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
-        if view.state == "failed" and view.failure is not None:
-            self.failed.append({"file": str(path), "reason": view.failure.detail})
+        if failed:
+            reason = "it could not be described" if view.failure is None else view.failure.detail
+            self.failed.append({"file": str(path), "reason": reason})
 
     def sort(self, paths: Sequence[Path]) -> None:
         """Sort what is listed as the images are."""

@@ -172,7 +172,7 @@ class Connection:
                         yield model.model_validate_json(line.removeprefix("data:"), extra="ignore")
                     elif line.startswith(":"):
                         yield None
-        except httpx.TransportError as error:
+        except (httpx.TransportError, httpx.DecodingError) as error:
             raise Unreachable(self.url, reason(error)) from error
 
     def pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:

@@ -91,7 +91,7 @@ class JobFailed(ClientError):
         return type(self), (self.job,), self.__dict__
 
 
-def reason(error: httpx.TransportError) -> str:
+def reason(error: httpx.RequestError) -> str:
     """Why no service answered, as text for people."""
     if isinstance(error, httpx.ConnectError):
         return "connection refused" if "refused" in str(error).lower() else str(error) or "cannot connect"

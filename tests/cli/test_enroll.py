@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,20 @@ def test_one_refused_image_does_not_stop_the_others(service: FakeService, folder
     assert summary["enrolled"] == 2
     assert summary["failed"][0]["file"].endswith("b.png")
     assert "cut off" in summary["failed"][0]["reason"]
+
+
+def test_an_image_that_was_taken_and_not_described_counts_as_failed_alone(
+    service: FakeService, folder: Path, capsys: Out
+) -> None:
+    failure = {"code": "internal", "detail": "the encoder ran out of memory"}
+    states: Iterator[dict[str, Any]] = iter([{}, {"state": "failed", "failure": failure}, {}])
+    service.replies["POST /enroll"] = lambda _: (201, answers.enrolled(**next(states)))
+
+    assert main(["enroll", str(folder), "--parallel", "1"]) == 1
+
+    out, err = capsys.readouterr()
+    assert out == "2 enrolled, 0 already there, 1 failed, 1 skipped\n"
+    assert "b.png: the encoder ran out of memory" in err
 
 
 def test_an_image_whose_name_is_not_utf_8_is_enrolled_under_what_can_be_read_of_it(

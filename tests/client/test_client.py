@@ -243,7 +243,7 @@ def test_the_states_of_a_job_that_is_waited_for_are_sent_by_the_service() -> Non
     assert list(dict.fromkeys(followed)) == ["waiting", "running", "done"]
 
 
-@pytest.mark.parametrize("broken", ["cut", "no events", "not a job", "busy"])
+@pytest.mark.parametrize("broken", ["cut", "damaged", "no events", "not a job", "busy"])
 def test_a_job_whose_events_do_not_come_through_is_polled(broken: str) -> None:
     clock, states = Clock(), iter(["running", "running", "done"])
 
@@ -252,6 +252,9 @@ def test_a_job_whose_events_do_not_come_through_is_polled(broken: str) -> None:
             return httpx.Response(200, json=answers.job(next(states)))
         if broken == "cut":
             raise httpx.RemoteProtocolError("peer closed connection")
+        if broken == "damaged":
+            zipped = {"content-type": "text/event-stream", "content-encoding": "gzip"}
+            return httpx.Response(200, stream=httpx.ByteStream(b"no gzip"), headers=zipped)
         if broken == "busy":
             return httpx.Response(429, json=answers.problem("too-many-requests", 429))
         if broken == "no events":
