@@ -101,7 +101,8 @@ class Known:
 
 @dataclass
 class KnownMap:
-    """A map: its views in the order of their enrolment, its recipe, and the job of a switch that is not awaited yet."""
+    """A map: its views in the order of their enrolment, its recipe, and the jobs of its shadow and of a switch that is
+    not awaited yet."""
 
     name: str
     recipe: str
@@ -110,6 +111,7 @@ class KnownMap:
     views: dict[str, Known] = field(default_factory=dict)
     jobs: list[str] = field(default_factory=list)
     switch: str | None = None
+    shadow: str | None = None
     untimely: bool = False  # a clock jumped while it had views
 
 

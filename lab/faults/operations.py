@@ -4,7 +4,7 @@ from typing import Any
 
 from lab.faults.comparing import compare_images, compare_lists, compare_map, views_of
 from lab.faults.drawn import TYPE, image
-from lab.faults.enrolling import LABELS, LIGHT, NEVER_ENROLLED, Enrolling
+from lab.faults.enrolling import NEVER_ENROLLED, Enrolling
 from lab.faults.ledger import Known, KnownMap, draw_filter, draw_patch, require
 
 
@@ -130,56 +130,6 @@ class Operations(Enrolling):
         self._forget(list(of.views.values()), self.served.call("DELETE", f"/maps/{of.name}").json())
         del self.maps[of.name]
         self.served.call("GET", f"/maps/{of.name}", 404)
-
-    def put_map(self) -> None:
-        """A map with views keeps its recipe; an empty one takes another."""
-        of = self.some_map()
-        self.note(f"PUT /maps/{of.name} again")
-        if of.switch is not None:
-            return
-        body = {**LIGHT, "labels": LABELS[int(self.chance.integers(2))], "dynamic": []}
-        answer = self.served.call("PUT", f"/maps/{of.name}", 200, 409, json=body)
-        if answer.status_code == 200:
-            facts = answer.json()
-            if of.views:  # the very recipe that it has
-                require(facts["recipe"]["id"] == of.recipe, f"the recipe of {of.name} was replaced under its views")
-            of.recipe, of.ranking = facts["recipe"]["id"], facts["ranking"]["id"]
-        else:
-            require(of.views, f"the empty map {of.name} refused another recipe: {answer.text}")
-
-    def change_ranking(self) -> None:
-        """Another ranking from the next query on."""
-        of = self.some_map()
-        self._await_switch(of)
-        change = {"candidates": int(self.chance.integers(2, 12)), "verified_top_k": int(self.chance.integers(0, 3))}
-        self.note(f"PATCH /maps/{of.name} {change}")
-        before = of.ranking
-        facts = self.served.call("PATCH", f"/maps/{of.name}", json={"ranking": change}).json()
-        require(facts["ranking"].items() >= change.items(), f"the ranking is {facts['ranking']}")
-        require(facts["recipe"]["id"] == of.recipe, f"changing the ranking changed the recipe; ranking was {before}")
-        of.ranking = facts["ranking"]["id"]
-
-    def switch_recipe(self) -> None:
-        """Another recipe, or back: described in the background, while operations go on."""
-        of = self.some_map()
-        self._await_switch(of)
-        body = {"labels": LABELS[int(self.chance.integers(2))], "dynamic": []}
-        self.note(f"POST /maps/{of.name}/recipe {len(body['labels'])} labels")
-        answer = self.served.call("POST", f"/maps/{of.name}/recipe", 202, 409, json=body)
-        if answer.status_code == 202:
-            of.switch = answer.json()["id"]
-            if self.chance.random() < 0.5:
-                self._await_switch(of)
-        else:
-            require("already" in answer.text or "recipe" in answer.text, answer.text)
-
-    def _await_switch(self, of: KnownMap) -> None:
-        if of.switch is None:
-            return
-        state = self.served.await_job(of.switch)
-        require(state == "done", f"the recipe switch of {of.name} is {state}")
-        facts = self.served.json(f"/maps/{of.name}")
-        of.recipe, of.ranking, of.switch = facts["recipe"]["id"], facts["ranking"]["id"], None
 
     # reading
 
