@@ -210,6 +210,25 @@ def test_a_cancelled_switch_keeps_the_recipe_and_prunes_what_was_described(store
     assert store.pruning.prune() == 0
 
 
+def test_a_map_that_was_emptied_and_given_another_recipe_is_not_trained_back_to_its_old_one(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    store.removals.delete_views("campus", Filters())
+
+    store.maps.put("campus", PAPER, LATER)
+
+    ended = store.jobs.get(job.id)
+    assert (ended.state, ended.finished_at) == ("cancelled", LATER)
+    assert ended.failure is not None
+    assert "given another recipe" in ended.failure.detail
+    with pytest.raises(LeaseLost):
+        store.jobs.finish_training(claim, LEARNED, TENSORS, LATER)
+    assert store.maps.get("campus").recipe == PAPER
+    assert store.jobs.queue_vocabulary("campus", LATER).state == "waiting"
+
+
 def test_the_descriptions_before_stay_for_a_way_back_and_older_ones_go(store: SqlStore) -> None:
     campus_of_two(store)
     third = recipe("third")

@@ -178,6 +178,8 @@ class Maps(Part):
                         f"POST /maps/{name}/recipe describes them anew, PATCH /maps/{name} changes the ranking alone"
                     )
                 kept = keep_recipe(connection, recipe.description)
+                if kept != row.recipe:
+                    switching.end_training(connection, row.id, now)
                 switching.change_over(connection, row.id, kept, recipe.ranking.model_dump_json(), now)
             return map_record(connection, find_map(connection, name)), row is None
 

@@ -29,6 +29,8 @@ NOTHING_NEXT: Mapping[str, None] = {"next_recipe": None, "next_ranking": None, "
 
 DISCARDED = "the map keeps the recipe that it has"
 
+GIVEN_ANOTHER = "the map was empty and was given another recipe"
+
 NO_IMAGES = (
     "the map {!r} keeps no images, so that its views can neither be described anew nor learned from; enrol the images "
     "in a map that has the recipe from the start"
@@ -301,8 +303,18 @@ def stop_trying_again(connection: sa.Connection, job: sa.Row[Any], now: datetime
 
 def end_shadow(connection: sa.Connection, map_id: int, now: datetime) -> None:
     """Cancel the job of a map's shadow, if it has not ended."""
-    unfinished = JOBS.c.map_id == map_id, JOBS.c.kind == "shadow", JOBS.c.state.in_(UNFINISHED)
-    reason = {"failure_code": "cancelled", "failure_detail": DISCARDED}
+    _cancel(connection, map_id, JOBS.c.kind == "shadow", now, DISCARDED)
+
+
+def end_training(connection: sa.Connection, map_id: int, now: datetime) -> None:
+    """Cancel the training of a vocabulary for a recipe that an empty map no longer has, if it has not ended."""
+    training = (JOBS.c.kind == "vocabulary") & JOBS.c.recipe.is_(None)
+    _cancel(connection, map_id, training, now, GIVEN_ANOTHER)
+
+
+def _cancel(connection: sa.Connection, map_id: int, which: sa.ColumnElement[bool], now: datetime, why: str) -> None:
+    unfinished = JOBS.c.map_id == map_id, which, JOBS.c.state.in_(UNFINISHED)
+    reason = {"failure_code": "cancelled", "failure_detail": why}
     ended = {"state": "cancelled", "finished_at": now, "token": None}
     connection.execute(sa.update(JOBS).where(*unfinished).values(**ended, **reason))
 
