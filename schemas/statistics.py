@@ -48,11 +48,21 @@ class QueueStatistics:
 
 @dataclass(frozen=True)
 class StoreStatistics:
-    """The database: its maps, its queues, and its size in bytes."""
+    """The database: its maps, its queues, and its size.
+
+    Parameters
+    ----------
+    maps : tuple of MapStatistics
+    queues : tuple of QueueStatistics
+    database_bytes : int
+    free_inodes : int or None
+        Files that can still be made on the file system of images or database that takes fewer; None without a limit.
+    """
 
     maps: tuple[MapStatistics, ...]
     queues: tuple[QueueStatistics, ...]
     database_bytes: int
+    free_inodes: int | None = None
 
 
 @dataclass(frozen=True)

@@ -184,11 +184,14 @@ class StatisticsCollector(Collector):
         database = _gauge("database_bytes", "Bytes of the database on disk.")
         free = _gauge("disk_free_bytes", "Free bytes of the file system of the data folder.")
         total = _gauge("disk_size_bytes", "Size of the file system of the data folder.")
+        inodes = _gauge("disk_free_inodes", "Files that the file system of images or database still takes.")
         if self.statistics is not None:
             database.add_metric([], self.statistics.store.database_bytes)
             free.add_metric([], self.statistics.disk_free_bytes)
             total.add_metric([], self.statistics.disk_total_bytes)
-        yield from (database, free, total)
+            if self.statistics.store.free_inodes is not None:
+                inodes.add_metric([], self.statistics.store.free_inodes)
+        yield from (database, free, total, inodes)
 
 
 def _gauge(name: str, text: str, *labels: str) -> GaugeMetricFamily:

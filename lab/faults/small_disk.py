@@ -13,16 +13,24 @@ class NotMounted(Exception):
 
 
 @contextmanager
-def small_disk(folder: Path, size_mb: int) -> Iterator[Path]:
-    """Mount a file system of so many MiB in memory on an empty folder, and take it away at the end.
+def small_disk(folder: Path, size_mb: int, inodes: int | None = None) -> Iterator[Path]:
+    """Mount a file system in memory on an empty folder, and take it away at the end.
+
+    Parameters
+    ----------
+    folder : Path
+    size_mb : int
+        Size in MiB.
+    inodes : int or None
+        Files and folders that it takes; None for as many as usual.
 
     Raises
     ------
     NotMounted
     """
-    made = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size_mb}m", "tmpfs", str(folder)], capture_output=True, text=True
-    )
+    options = f"size={size_mb}m" + ("" if inodes is None else f",nr_inodes={inodes}")
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    made = subprocess.run(mount, capture_output=True, text=True)
     if made.returncode != 0:
         raise NotMounted(made.stderr.strip())
     try:

@@ -1,21 +1,25 @@
 """The disk runs full under a real service: everybody is answered, space can be freed, and it recovers by itself."""
 
 import errno
+import os
+import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
+from app.cli.__main__ import main
 from lab.faults.small_disk import NotMounted, fill, small_disk
 from tests.failing_writes import failing_writes
 from tests.sample_images import drawn, encoded
 from tests.stories.importing import ZIP, is_emptied, zipped
 from tests.stories.running import RunningService
 from tests.waiting import PATIENCE_S
+from worker.storage.space import LEAST_INODES
 
 pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
 
@@ -31,12 +35,12 @@ def image(number: int) -> bytes:
 
 
 @pytest.fixture
-def disk(tmp_path: Path) -> Iterator[Path]:
-    """A small disk of its own."""
+def disk(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
+    """A small disk of its own; its parameter, if it has one, is the number of its inodes."""
     folder = tmp_path / "disk"
     folder.mkdir()
     try:
-        with small_disk(folder, DISK_MB):
+        with small_disk(folder, DISK_MB, getattr(request, "param", None)):
             yield folder
     except NotMounted as error:
         pytest.skip(f"NOT TRIED: a full disk needs the right to mount one ({error})")
@@ -149,6 +153,41 @@ def test_a_service_starts_on_a_full_disk_and_lets_it_be_emptied(disk: Path) -> N
         assert client.delete(f"/views/{view}").status_code == 200
         hog.unlink()
         until(client, is_ready)
+
+
+@pytest.mark.parametrize("disk", [LEAST_INODES + 40], indirect=True)
+def test_a_disk_that_takes_no_further_files_is_said_and_can_be_emptied(
+    disk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Small images use up a disk's inodes while most of its bytes are free."""
+    with serving(disk) as (service, client):
+        enrolled: list[str] = []
+        while (answer := client.post("/enroll", content=image(len(enrolled)), headers=JPEG)).status_code == 201:
+            enrolled.append(answer.json()["view"]["id"])
+        assert (answer.status_code, len(enrolled) > 5) == (507, True)
+        assert "inodes are left (`df -i`)" in answer.json()["detail"]
+        assert "inodes" in until(client, is_not_ready)["checks"]["disk"]
+        assert "revisit_disk_free_inodes 9" in client.get("/metrics").text
+        service.kill()
+    assert main(["doctor", "--data", str(disk / "data"), "--url", "http://127.0.0.1:9"]) == 1
+    assert "takes only 9" in capsys.readouterr().out
+
+    others = disk / "others"
+    others.mkdir()
+    with suppress(OSError):
+        for number in range(LEAST_INODES):
+            (others / str(number)).touch()
+    assert os.statvfs(disk).f_favail == 0
+    with (
+        RunningService(disk / "data", False, **SETTINGS) as service,
+        httpx.Client(base_url=service.url, timeout=ANSWER_S) as client,
+    ):
+        assert "inodes" in until(client, is_not_ready)["checks"]["disk"]
+        assert client.post("/query", content=image(0), headers=JPEG).json()["matches"][0]["view"]["id"] == enrolled[0]
+        assert [client.delete(f"/views/{view}").status_code for view in enrolled[:5]] == [200] * 5
+        shutil.rmtree(others)
+        until(client, is_ready)
+        assert client.post("/enroll", content=image(0), headers=JPEG).status_code == 201
 
 
 def test_an_import_whose_recording_fills_the_disk_can_be_cancelled(disk: Path) -> None:

@@ -19,6 +19,10 @@ log = logging.getLogger("revisit")
 RESERVE = "reserve"
 """Name of the reserve file."""
 
+LEAST_INODES = 100
+"""Files that can still be made on a file system, below which nothing more is enrolled: each image is one, mostly in a
+folder of its own, and the database needs some at each start."""
+
 _MEGA = 1_000_000
 _UNFINISHED = ".reserve-"
 _PROBE_BYTES = 65536
@@ -32,7 +36,8 @@ class Space:
     folders : sequence of Path
         Each on the file system of the images or of the database; one of a file system counts.
     reserve_bytes : int
-        Size of the reserve, and of the space beside it below which enrolments are refused; 0 for neither.
+        Size of the reserve, and of the space beside it below which enrolments are refused; 0 for neither, and for no
+        least number of inodes.
     """
 
     def __init__(self, folders: Sequence[Path], reserve_bytes: int) -> None:
@@ -51,6 +56,8 @@ class Space:
                 if image:
                     self._refused = max(self._refused, size)
                 raise DiskFull(self._full(folder, size))
+            if (lacking := self._lacking_inodes(folder)) is not None:
+                raise DiskFull(lacking)
 
     def require(self) -> None:
         """Raise DiskFull while the reserve is given up and there is no room to make it again."""
@@ -65,12 +72,19 @@ class Space:
                 return f"the disk of {folder} is read-only; queries work, nothing can be stored until that changes"
             if self._reserve and self._available(folder) < 2 * self._reserve + self._refused:
                 return self._full(folder, self._refused)
+            if (lacking := self._lacking_inodes(folder)) is not None:
+                return lacking
         self._refused = 0
         return None
 
     def refused(self) -> bool:
         """Whether nothing more can be written: the disk is full, or a quota used up, which free space does not show."""
         return any(_refuses(folder) for folder in self._folders)
+
+    def inodes(self) -> int | None:
+        """How many files can still be made, by the file system that takes fewest; None where none has such a limit."""
+        limits = [left for folder in self._folders if (left := free_inodes(folder)) is not None]
+        return min(limits, default=None)
 
     def give_up(self) -> bool:
         """Remove the reserve; returns whether there was one."""
@@ -134,6 +148,24 @@ class Space:
             f"the disk of {folder} {lacks}: {free:.1f} MB are left, {kept:.1f} MB are kept (REVISIT_RESERVE_MB) so "
             "that queries and deletions work; free some space or delete views"
         )
+
+    def _lacking_inodes(self, folder: Path) -> str | None:
+        left = free_inodes(folder) if self._reserve else None
+        if left is None or left >= LEAST_INODES:
+            return None
+        return (
+            f"the disk of {folder} takes few further files: {left} inodes are left (`df -i`), {LEAST_INODES} are kept "
+            "so that queries and deletions work; delete views or other files"
+        )
+
+
+def free_inodes(folder: Path) -> int | None:
+    """How many files can still be made on the file system of a folder; None where it has no such limit."""
+    found = os.statvfs(folder)
+    # Some file systems of other machines have a total and always say that nothing of it is left.
+    if found.f_files == 0 or (found.f_favail == 0 and not _refuses(folder)):
+        return None
+    return found.f_favail
 
 
 def _refuses(folder: Path) -> bool:

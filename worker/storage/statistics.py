@@ -66,7 +66,7 @@ def read(database: Database, now: datetime, sample: int) -> StoreStatistics:
         )
         queues = _queues(connection, now)
         size = _size(connection)
-    return StoreStatistics(maps, queues, size)
+    return StoreStatistics(maps, queues, size, None if database.space is None else database.space.inodes())
 
 
 def _queues(connection: sa.Connection, now: datetime) -> tuple[QueueStatistics, ...]:
