@@ -9,10 +9,10 @@ import httpx
 from lab.faults.comparing import views_of
 from lab.faults.drawn import TYPE, digest, image
 from lab.faults.ledger import Attributes, Known, KnownMap, draw_attributes, draw_patch, require
-from lab.faults.map_changes import MapChanges
+from lab.faults.restoring import Restoring
 
 
-class Interrupting(MapChanges):
+class Interrupting(Restoring):
     """All operations: those of callers, restarts, kills and a clock that jumps."""
 
     # faults

@@ -57,6 +57,7 @@ WEIGHTS = {
     "list_pages": 6.0,
     "list_jobs": 2.0,
     "read": 6.0,
+    "restore": 0.3,
     "restart": 0.1,
     "kill": 0.1,
     "kill_during": 0.3,

@@ -125,7 +125,9 @@ class Operations(Enrolling):
 
     def delete_map(self) -> None:
         """A map is gone with all its views."""
-        of = self.some_map()
+        self._delete_map(self.some_map())
+
+    def _delete_map(self, of: KnownMap) -> None:
         self.note(f"DELETE /maps/{of.name}")
         self._forget(list(of.views.values()), self.served.call("DELETE", f"/maps/{of.name}").json())
         del self.maps[of.name]
