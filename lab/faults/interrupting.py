@@ -11,6 +11,8 @@ from lab.faults.drawn import TYPE, digest, image
 from lab.faults.ledger import Attributes, Known, KnownMap, draw_attributes, draw_patch, require
 from lab.faults.restoring import Restoring
 
+YEAR_H = 365 * 24.0
+
 
 class Interrupting(Restoring):
     """All operations: those of callers, restarts, kills and a clock that jumps."""
@@ -98,8 +100,8 @@ class Interrupting(Restoring):
         known.compare(answer.json())
 
     def set_clock(self) -> None:
-        """The clock jumps, back and forth, by up to a day."""
-        hours = [0.0, -24.0, -1.0, -0.01, 0.01, 1.0, 24.0]
+        """The clock jumps, back and forth: by up to a day, or to 1970 as on a board without a clock, or by decades."""
+        hours = [0.0, -24.0, -1.0, -0.01, 0.01, 1.0, 24.0, -56 * YEAR_H, 30 * YEAR_H]
         self.served.set_clock(3600 * float(self.chance.choice(hours)))
         self.note(f"the clock is wrong by {self.served.clock_s:.0f} s")
         for of in self.maps.values():
