@@ -1,6 +1,7 @@
 """Images are whole and owned, or not there: whatever fails between the file and its row."""
 
 import errno
+import hashlib
 import os
 import shutil
 import sqlite3
@@ -21,7 +22,7 @@ from schemas.errors import Conflict, Damaged, DiskFull, NotFound
 from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW, Follower, describe_all, enroll, facts, image
-from worker.storage import wal
+from worker.storage import image_files, wal
 from worker.storage.examining import examine
 from worker.storage.image_files import Images, sync_folder
 from worker.storage.owner_file import OWNER
@@ -79,6 +80,28 @@ def test_an_image_is_durable_under_its_name_before_its_row_is_committed(
     enroll(store, "gate")
 
     assert events == ["file", "rename", "folder", "folder", "folder", "commit"]
+
+
+def test_a_folder_is_made_durable_once_by_each_process(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is there may be of a process that died before that."""
+    digests = {hashlib.sha256(body := str(number).encode()).hexdigest(): body for number in range(10_000)}
+    alike = [(digest, body) for digest, body in digests.items() if digest.startswith("c0")][:2]
+    folders: list[Path] = []
+    sync = image_files.sync_folder
+
+    def note(folder: Path) -> None:
+        folders.append(folder)
+        sync(folder)
+
+    monkeypatch.setattr(image_files, "sync_folder", note)
+    for images in (Images(data / "pictures", owned=set), Images(data / "pictures", owned=set)):
+        for number, (digest, body) in enumerate(alike):
+            folders.clear()
+            with images.kept(digest, body):
+                pass
+            above = [data / "pictures"] if number == 0 else []
+            first = data / "pictures" / "c0"
+            assert folders == [first / digest[2:4], first, *above]
 
 
 @pytest.mark.parametrize("kind", [PowerCut, RuntimeError])

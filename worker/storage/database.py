@@ -77,7 +77,7 @@ class Database:
 
     @contextmanager
     def writing(
-        self, *, in_turn: bool = True, frees: bool = False, patience_s: float | None = None
+        self, *, in_turn: bool = True, durable: bool = True, frees: bool = False, patience_s: float | None = None
     ) -> Iterator[sa.Connection]:
         """A transaction that is committed durably at the end of the block, or rolled back when the block raises.
 
@@ -85,6 +85,9 @@ class Database:
         ----------
         in_turn : bool
             Whether to exclude other writers; False only for writes without a new revision.
+        durable : bool
+            Whether a power failure must not undo it once it is committed; False only for what a start does without, as
+            who works on what: flash wears out by what is synced.
         frees : bool
             Whether it deletes, or replaces little: it may then use the last space of the disk.
         patience_s : float or None
@@ -100,7 +103,11 @@ class Database:
         try:
             with self.open() as connection:
                 connection = dialect.for_writing(connection)
-                with dialect.patient(connection, patience_s), connection.begin():
+                with (
+                    dialect.patient(connection, patience_s),
+                    dialect.synced(connection, durable),
+                    connection.begin(),
+                ):
                     dialect.begin_writing(connection, in_turn=in_turn, patience_s=patience_s)
                     sealing.begin(connection)
                     yield connection

@@ -35,6 +35,9 @@ SERVER_GONE = {
 WRITERS = 0x7265766973697400
 """Key of PostgreSQL's advisory lock that writers take in turn ("revisit" in ASCII)."""
 
+DURABLE = "synchronous=FULL"
+"""In WAL, NORMAL loses acknowledged commits in a power failure."""
+
 AS_BYTES = "as_bytes"
 """Execution option of statements that read long bodies: PostgreSQL would send each byte as two digits otherwise."""
 
@@ -119,7 +122,7 @@ def _sqlite(url: sa.URL) -> sa.Engine:
         for pragma in (
             "page_size=8192",  # of a new file: a description takes 8 pages to read instead of 16
             "journal_mode=WAL",
-            "synchronous=FULL",  # in WAL, NORMAL loses acknowledged commits in a power failure
+            DURABLE,
             "foreign_keys=ON",
             "secure_delete=ON",  # deleted content is overwritten in the file
             "journal_size_limit=67108864",  # bytes of the WAL file kept after a large change
@@ -219,9 +222,33 @@ def patient(connection: sa.Connection, seconds: float | None) -> Iterator[None]:
         _wait(connection, BUSY_S)
 
 
+@contextmanager
+def synced(connection: sa.Connection, durable: bool) -> Iterator[None]:
+    """Have SQLite commit without waiting for the disk in the block, unless `durable`; PostgreSQL waits in either case.
+
+    The log stays in order: the next durable commit makes those before it durable too.
+    """
+    if durable or connection.dialect.name != "sqlite":
+        yield
+        return
+    _set(connection, "synchronous=NORMAL")
+    try:
+        yield
+    finally:
+        try:
+            _set(connection, DURABLE)
+        except sa.exc.DBAPIError:
+            connection.invalidate()  # or whoever gets it next would acknowledge what is not durable
+            raise
+
+
 def _wait(connection: sa.Connection, seconds: float) -> None:
+    _set(connection, f"busy_timeout={round(1000 * seconds)}")
+
+
+def _set(connection: sa.Connection, pragma: str) -> None:
     with raw_cursor(connection) as cursor:
-        cursor.execute(f"PRAGMA busy_timeout={round(1000 * seconds)}")
+        cursor.execute(f"PRAGMA {pragma}")
 
 
 def begin_writing(connection: sa.Connection, *, in_turn: bool, patience_s: float | None = None) -> None:

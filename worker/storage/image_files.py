@@ -93,6 +93,7 @@ class Images:
         self._folder = folder
         self._owned = owned
         self._left: set[str] = set()
+        self._synced: set[str] = set()  # first two digits whose folder is durable
         folder.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
@@ -289,8 +290,12 @@ class Images:
 
     def _sync_name(self, path: Path) -> None:
         """Make the entries of a file and of its folders, which may be new, durable."""
-        for folder in (path.parent, path.parent.parent, self._folder):
-            sync_folder(folder)
+        sync_folder(path.parent)
+        first = path.parent.parent
+        sync_folder(first)
+        if first.name not in self._synced:  # once by each process: it may be of one that died before this
+            sync_folder(self._folder)
+            self._synced.add(first.name)
 
     def _discard(self, digests: list[str]) -> Discarded:
         removed, needed = 0, self._owned(digests)

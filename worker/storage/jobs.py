@@ -57,7 +57,7 @@ class Jobs(Part):
         with self._database.reading() as connection:  # with no job to claim, no writer has to wait
             if connection.execute(_ANY_WAITING).first() is None:
                 return []
-        with self._database.writing(in_turn=False) as connection:
+        with self._database.writing(in_turn=False, durable=False) as connection:
             jobs, recipes = _oldest_waiting(connection, int(count))
             return self._claim(connection, jobs, recipes, worker)
 

@@ -120,7 +120,7 @@ class MapJobs(Jobs):
         with self._database.reading() as connection:
             if connection.execute(mine).first() is None:
                 return None
-        with self._database.writing(in_turn=False) as connection:
+        with self._database.writing(in_turn=False, durable=False) as connection:
             job = connection.execute(mine.with_for_update(skip_locked=True)).one_or_none()
             if job is None:
                 return None
@@ -139,7 +139,7 @@ class MapJobs(Jobs):
 
     def report(self, claim: MapClaim, progress: JobProgress) -> None:
         """Report the progress of a claimed job; raises LeaseLost, also when it was cancelled."""
-        with self._database.writing(in_turn=False) as connection:
+        with self._database.writing(in_turn=False, durable=False) as connection:
             job = held(connection, claim)
             told = {"progress_done": progress.done, "progress_total": progress.total}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**told))

@@ -31,7 +31,7 @@ class Workers(ShadowJobs):
 
     def beat(self, worker: WorkerRecord, now: datetime) -> list[WorkerRecord]:
         """Give a sign of life; returns all workers."""
-        with self._database.writing(in_turn=False, frees=True) as connection:
+        with self._database.writing(in_turn=False, durable=False, frees=True) as connection:
             counted = sa.update(WORKERS).where(_MINE).values(beats=WORKERS.c.beats + 1, seen_at=now)
             if connection.execute(counted, {"of": worker.name}).rowcount == 0:
                 first = {"name": worker.name, "kind": worker.kind, "host": worker.host, "pid": worker.pid}
