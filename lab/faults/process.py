@@ -130,6 +130,10 @@ class Running:
             self.url = found.group()
         return time.perf_counter() - self.began
 
+    def stand_still(self) -> None:
+        """SIGSTOP: it does nothing more until it is killed."""
+        os.kill(self.pid, signal.SIGSTOP)
+
     def kill(self) -> None:
         """SIGKILL: no chance to tidy up."""
         self._process.kill()

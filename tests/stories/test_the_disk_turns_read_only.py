@@ -1,8 +1,6 @@
 """A file system turns itself read-only after an error, as ext4 does: everybody is answered, nothing is lost."""
 
-import os
 import signal
-import subprocess
 import threading
 import time
 from collections import Counter
@@ -13,6 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from lab.faults.ext4_disk import Ext4Disk, ext4_disk
+from lab.faults.small_disk import NotMounted
 from tests.sample_images import drawn, encoded
 from tests.stories.running import RunningService
 from tests.waiting import PATIENCE_S, until
@@ -31,64 +31,14 @@ def image(number: int) -> bytes:
     return encoded(drawn(320, 240, number))
 
 
-class Disk:
-    """A disk of ext4 in a file.
-
-    Parameters
-    ----------
-    folder : Path
-        For the file, and for `at`, where the disk is mounted.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.at = folder / "disk"
-        self._file = folder / "disk.ext4"
-
-    def make(self) -> None:
-        """Make the file system, and mount it; skips where that is not possible."""
-        self.at.mkdir()
-        with self._file.open("wb") as file:
-            file.truncate(96_000_000)
-        try:
-            for command in (["mkfs.ext4", "-q", "-F", "-m", "0", str(self._file)], self._mounting()):
-                subprocess.run(command, check=True, capture_output=True, text=True)
-        except (OSError, subprocess.CalledProcessError) as error:
-            why = getattr(error, "stderr", None) or error
-            pytest.skip(f"NOT TRIED: a disk that turns read-only needs ext4 and the right to mount it ({why})")
-
-    def _mounting(self) -> list[str]:
-        return ["mount", "-o", "loop,errors=remount-ro", str(self._file), str(self.at)]
-
-    def turn_read_only(self) -> None:
-        """What the kernel does by itself when it finds an error in the file system, whoever has files open."""
-        device = os.stat(self.at).st_dev
-        name = Path(f"/sys/dev/block/{os.major(device)}:{os.minor(device)}").resolve().name
-        subprocess.run(["sync", "-f", str(self.at)], check=True)
-        Path(f"/sys/fs/ext4/{name}/trigger_fs_error").write_text("1")
-        with pytest.raises(OSError, match="Read-only"):
-            (self.at / "probe").write_text("")
-
-    def repair(self) -> None:
-        """Unmount, examine, mount: what an operator does."""
-        self.unmount()
-        # A browser's sandbox keeps the mounts that there were when it began: the disk would be mounted as it is there.
-        until(lambda: not subprocess.run(["losetup", "-j", str(self._file)], capture_output=True, check=True).stdout)
-        examined = subprocess.run(["e2fsck", "-f", "-y", str(self._file)], capture_output=True, text=True)
-        assert examined.returncode in (0, 1), examined.stdout
-        subprocess.run(self._mounting(), check=True)
-
-    def unmount(self) -> None:
-        """Take it away; whoever has files open keeps them."""
-        subprocess.run(["umount", "--lazy", str(self.at)], check=True)
-
-
 @pytest.fixture
-def disk(tmp_path: Path) -> Iterator[Disk]:
+def disk(tmp_path: Path) -> Iterator[Ext4Disk]:
     """A disk of its own."""
-    made = Disk(tmp_path)
-    made.make()
-    yield made
-    made.unmount()
+    try:
+        with ext4_disk(tmp_path) as made:
+            yield made
+    except NotMounted as error:
+        pytest.skip(f"NOT TRIED: a disk that turns read-only needs ext4 and the right to mount it ({error})")
 
 
 class Callers:
@@ -154,7 +104,7 @@ def readiness(client: httpx.Client, ready: bool) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_everybody_is_answered_and_what_was_acknowledged_is_there_after_a_repair(disk: Disk) -> None:
+def test_everybody_is_answered_and_what_was_acknowledged_is_there_after_a_repair(disk: Ext4Disk) -> None:
     with (
         RunningService(disk.at / "data", **SETTINGS) as service,
         httpx.Client(base_url=service.url, timeout=ANSWER_S) as client,
@@ -166,6 +116,8 @@ def test_everybody_is_answered_and_what_was_acknowledged_is_there_after_a_repair
         callers = Callers(service.url, deletable)
         until(lambda: callers.acknowledged and callers.deleted)
         disk.turn_read_only()
+        with pytest.raises(OSError, match="Read-only"):
+            (disk.at / "probe").write_text("")
         since = time.monotonic()
         told = readiness(client, False)
         assert told["disk"] != "ok"
