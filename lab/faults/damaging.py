@@ -24,7 +24,8 @@ from worker.storage.tables import APPEARANCES, CELLS, KEYPOINTS, VECTORS
 DESCRIPTIONS = (VECTORS, APPEARANCES, CELLS, KEYPOINTS)
 """Tables with a row of bytes for each view."""
 
-SEQ = "(SELECT seq FROM views WHERE id = ?)"
+ROW = "seq = (SELECT seq FROM views WHERE id = ?) AND recipe = (SELECT recipe FROM maps WHERE name = ?)"
+"""Of a view, for the recipe of its map: another recipe's may have the same bytes."""
 
 
 class Damaging(Interrupting):
@@ -84,19 +85,18 @@ class Damaging(Interrupting):
         return self.some_view()
 
     def _flip(self, table: sa.Table, known: Known) -> bytes | None:
-        """Flip a bit of a row; what lies there now; None where nothing did, as without keypoints."""
+        """Flip a bit of a row for the recipe of its map; what lies there now; None where nothing did, as without
+        keypoints."""
         body = self._body(table, known)
         if not body:
             return None
         damaged = _flipped(self.chance, body)
-        self._execute(f"UPDATE {table.name} SET body = ? WHERE body = ? AND seq = {SEQ}", damaged, body, known.id)
+        self._execute(f"UPDATE {table.name} SET body = ? WHERE {ROW}", damaged, known.id, known.map)
         return damaged
 
     def _body(self, table: sa.Table, known: Known) -> bytes | None:
         """What lies in the row of a view for the recipe of its map."""
-        recipe = "(SELECT recipe FROM maps WHERE name = ?)"
-        select = f"SELECT body FROM {table.name} WHERE seq = {SEQ} AND recipe = {recipe}"
-        rows = self._execute(select, known.id, known.map)
+        rows = self._execute(f"SELECT body FROM {table.name} WHERE {ROW}", known.id, known.map)
         return bytes(rows[0][0]) if rows else None
 
     def _execute(self, statement: str, *values: object) -> list[Any]:
