@@ -21,7 +21,7 @@ LIBRARIES = (
     "onnxruntime", "torch", "numpy", "opencv-python-headless", "faiss-cpu", "pillow", "sqlalchemy", "alembic",
     "fastapi", "starlette", "uvicorn", "pydantic", "httpx",
 )  # fmt: skip
-LEAST_FREE, LEAST_INODES = 1_000_000_000, 1000
+LEAST_FREE, FEW_INODES = 1_000_000_000, 1000
 """Bytes and files for which a file system should have room."""
 
 
@@ -128,7 +128,7 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
     folder = settings.data
     if not folder.exists():
         return {"folder": str(folder.resolve()), "state": "not there yet; `./revisit serve` makes it"}
-    from worker.storage.space import LEAST_INODES as KEPT, free_inodes
+    from worker.storage.space import LEAST_INODES, free_inodes
 
     report: dict[str, Any] = {"folder": str(folder.resolve())}
     try:
@@ -137,9 +137,10 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
         if free < LEAST_FREE:
             findings.append(f"{folder}: only {size(free)} are free; enrolments are refused when nothing is left")
         inodes = free_inodes(folder)
-        if inodes is not None and inodes < LEAST_INODES:
+        if inodes is not None and inodes < FEW_INODES:
             findings.append(
-                f"{folder}: its disk takes only {inodes} further files (`df -i`); enrolments are refused below {KEPT}"
+                f"{folder}: its disk takes only {inodes} further files (`df -i`); with fewer than {LEAST_INODES} "
+                "enrolments are refused"
             )
         begun = any([*folder.glob("revisit.db*"), *folder.glob("pictures/*/*/*")])
         if folder.is_dir() and settings.database is None and not begun:

@@ -34,6 +34,37 @@ OTHERS: dict[str, Callable[[SqlStore, str], object]] = {
 }
 
 
+@pytest.mark.parametrize(
+    ("total", "left", "takes", "found"),
+    [
+        (5000, 99, True, 99),
+        (5000, 0, False, 0),
+        (0, 0, True, None),  # btrfs has no such limit
+        (5000, 0, True, None),  # and some say that nothing is left, whatever they take
+    ],
+)
+def test_only_inodes_that_run_out_stop_enrolments(
+    data: Path, monkeypatch: pytest.MonkeyPatch, total: int, left: int, takes: bool, found: int | None
+) -> None:
+    real = os.statvfs(data)
+    told = os.statvfs_result((*real[:5], total, left, left, *real[8:]))
+    monkeypatch.setattr(os, "statvfs", lambda _: told)
+    monkeypatch.setattr(space, "_refuses", lambda _: not takes)
+
+    assert space.free_inodes(data) == found
+    kept, unkept = space.Space([data], 1000), space.Space([data], 0)
+    assert kept.inodes() == found
+    assert unkept.problem() is None
+    unkept.admit(1)
+    if found is None:
+        assert kept.problem() is None
+        kept.admit(1)
+    else:
+        assert f"{found} inodes are left" in str(kept.problem())
+        with pytest.raises(DiskFull, match="inodes"):
+            kept.admit(1)
+
+
 @pytest.mark.parametrize("name", [*FREES, *OTHERS])
 def test_the_reserve_is_given_up_for_what_makes_room(database_url: str, data: Path, name: str) -> None:
     with closing(open_store(database_url, data, RESERVE_BYTES)) as store:
