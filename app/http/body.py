@@ -109,7 +109,7 @@ async def take(request: Request, named: str = IMAGE_PART) -> Sent:
         No part has the name of images, and other parts cannot be used.
     """
     content_type = request.headers.get("content-type", "")
-    body = await request.body()
+    body = b"".join([chunk async for chunk in request.stream()])  # `request.body()` would keep it beside the images
     in_url = list(request.query_params.multi_items())
     kind, options = parse_options_header(content_type)
     if kind == b"multipart/form-data":

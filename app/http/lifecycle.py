@@ -92,9 +92,8 @@ class Lifecycle:
         """What the metrics show and is known without asking the database."""
         loop, scheduler = self._runtime.loop, self._runtime.scheduler
         working = None if loop is None else loop.alive
-        return LiveStatistics(
-            scheduler.queries_waiting, scheduler.alive, working, decoder_restarts=self._runtime.decoder.restarts
-        )
+        waiting = self._runtime.services.query.outside + scheduler.queries_waiting
+        return LiveStatistics(waiting, scheduler.alive, working, decoder_restarts=self._runtime.decoder.restarts)
 
     async def statistics(self) -> tuple[ServiceStatistics | None, float]:
         """What the metrics show of database and disk (None before the first), and its age in seconds; never hangs."""

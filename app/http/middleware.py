@@ -12,6 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.body import announced_bytes, has_body
+from app.http.body_room import MEMORY, BodyRoom
 from app.http.limits import CROWDED, SLOWEST_BYTES_S
 from app.http.metrics import Metrics
 from app.http.notes import Notes, noting
@@ -140,7 +141,7 @@ class RequestContext:
         method = scope["method"] if scope["method"] in _METHODS else "other"
         self._metrics.answered(method, template, status, seconds, received=received, sent=sent)
         for code in notes.problems:
-            self._metrics.refused(code, "rate" if "limit" in notes.fields else None)
+            self._metrics.refused(code, _reason(notes.fields.get("limit")))
         slow = seconds > self._slow_s
         # The path without its query string: positions and metadata are private to the caller.
         access.log(
@@ -223,7 +224,7 @@ class BodyLimit:
     settings : Settings
         ``max_body_mb``, ``max_import_mb`` for recordings, and ``body_s``: the seconds in which a body has to arrive,
         and one more for each `SLOWEST_BYTES_S` bytes that have arrived. Those of `STREAMED` have no bound here: the
-        disk bounds them.
+        disk bounds them. ``bodies_mb``: what the others may take together, as `BodyRoom` says.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -231,13 +232,15 @@ class BodyLimit:
         self._most = round(settings.max_body_mb * MEGA)
         self._most_imported = round(settings.max_import_mb * MEGA)
         self._seconds = settings.body_s
+        self._room = BodyRoom(max(round(settings.bodies_mb * MEGA), self._most))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request whose body is counted while it is read."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        most = self._most_imported if _IMPORTS.fullmatch(scope["path"]) else self._most
+        recording = _IMPORTS.fullmatch(scope["path"]) is not None
+        most = self._most_imported if recording else self._most
         headers = Headers(scope=scope)
         announced = announced_bytes(headers)
         bounded = (scope["method"], scope["path"]) not in STREAMED
@@ -252,6 +255,8 @@ class BodyLimit:
         received = 0
         complete = not has_body(scope)
         begin = time.monotonic()
+        in_memory = bounded and not recording
+        body = self._room.open()
 
         async def receive_counted() -> Message:
             nonlocal received, complete
@@ -259,21 +264,32 @@ class BodyLimit:
                 return await receive()
             allowed = self._seconds + received / SLOWEST_BYTES_S
             try:
-                async with asyncio.timeout(max(0.0, begin + allowed - time.monotonic())):
+                async with body.wait(max(0.0, begin + allowed - time.monotonic())):
                     message = await receive()
             except TimeoutError:
-                raise RequestTimeout(
-                    f"the body did not arrive within {allowed:.0f} s; {received:,} bytes of it did"
-                ) from None
+                late = f"the body did not arrive within {allowed:.0f} s"
+                if body.made_room:
+                    late = f"the body took {time.monotonic() - begin:.0f} s and more, and others needed its memory"
+                raise RequestTimeout(f"{late}; {received:,} bytes of it did arrive") from None
             complete = not message.get("more_body", False)
             if message["type"] == "http.request":
                 received += len(message.get("body", b""))
                 if bounded and received > most:
                     # Raised inside the route that reads the body, so that it is answered like any other refusal.
                     raise _too_large(f"more than {most:,}", most)
+                if in_memory:
+                    self._room.add(body, len(message.get("body", b"")))
             return message
 
-        await self._app(scope, receive_counted, send)
+        try:
+            await self._app(scope, receive_counted, send)
+        finally:
+            self._room.close(body)
+
+
+def _reason(limit: object) -> str | None:
+    """Which limit it was that a request came up against, as `Metrics.refused` takes it."""
+    return None if limit is None else MEMORY if limit == MEMORY else "rate"
 
 
 def _too_large(size: str, most: int) -> BodyTooLarge:

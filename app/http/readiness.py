@@ -24,6 +24,9 @@ FRESH_S = 2.0
 PATIENCE_S = 0.15
 """Seconds that a caller waits for a check, before it gets the last result."""
 
+BAD_PATIENCE_S = 0.3
+"""The same where that result says not ready, or there is none: it may be long over. Probes wait a second at least."""
+
 STALE_S = 30.0
 """Seconds after which a check that has not ended makes the service not ready."""
 
@@ -54,11 +57,12 @@ class ReadinessCheck:
         self._began = 0.0
 
     async def current(self) -> wire.Readiness:
-        """The result of a check that is at most `FRESH_S` old, or the last one with its age; within `PATIENCE_S`."""
+        """The result of a check at most `FRESH_S` old, or the last one with its age, within `BAD_PATIENCE_S`."""
         if self._last is not None and time.monotonic() - self._last[0] < FRESH_S:
             return self._aged(self._last)
         running = self.begin()
-        await asyncio.wait([asyncio.wrap_future(running)], timeout=PATIENCE_S)
+        patience_s = PATIENCE_S if self._last is not None and self._last[1].ready else BAD_PATIENCE_S
+        await asyncio.wait([asyncio.wrap_future(running)], timeout=patience_s)
         lasted = time.monotonic() - self._began
         if self._last is None or (lasted >= STALE_S and not running.done()):
             checks = {} if self._last is None else self._last[1].checks

@@ -128,7 +128,7 @@ class StatisticsCollector(Collector):
 
     def _live(self) -> Iterator[Metric]:
         live = self.live
-        waiting = _gauge("queries_waiting", "Queries that wait for the encoder or are in it.")
+        waiting = _gauge("queries_waiting", "Queries that wait to be encoded, or are encoded.")
         alive = _gauge("thread_alive", "1 while this thread of the service runs.", "thread")
         restarts = CounterMetricFamily("revisit_decoder_restarts", "Starts of a new decoder after one ended.")
         if live is not None:

@@ -7,14 +7,17 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
 import pytest
 
+from tests.sample_images import photo
 from tests.stories.raw import answers, connect, read_all, read_one, say
 from tests.stories.running import RunningService
+from tests.waiting import until
 
 pytestmark = pytest.mark.one_database("such requests never reach the database")
 
@@ -188,3 +191,34 @@ def test_beyond_the_bound_on_connections_callers_are_told(tmp_path: Path) -> Non
         for connection in held:
             connection.close()
         assert httpx.get(f"{service.url}/maps").status_code == 200
+
+
+def test_connections_that_stop_before_the_end_keep_nobody_out(tmp_path: Path) -> None:
+    """What they sent fills the memory for bodies; who comes next is put off for seconds, not for minutes."""
+    begun = b"POST /query HTTP/1.1\r\nHost: a\r\nContent-Type: image/jpeg\r\nContent-Length: 1000000\r\n\r\n"
+    with RunningService(tmp_path, REVISIT_MAX_BODY_MB="1", REVISIT_BODIES_MB="4") as service, ExitStack() as stack:
+
+        def enrolled() -> httpx.Response:
+            body = photo() + bytes(100_000)
+            return httpx.post(f"{service.url}/enroll", content=body, headers={"content-type": "image/jpeg"})
+
+        def refused() -> tuple[socket.socket, httpx.Response] | None:
+            """One of the connections that fill the memory, and the answer to who comes next."""
+            held = [stack.enter_context(connect(service, 60)) for _ in range(4)]
+            for connection in held:
+                connection.sendall(begun + b"x" * 999_000)
+            threading.Event().wait(0.5)
+            answer = enrolled()
+            if answer.status_code == 429:
+                return held[0], answer
+            stack.close()  # the photo was there before the last of them
+            return None
+
+        oldest, answer = until(refused)
+        assert answer.json()["type"] == "urn:revisit:problem:too-many-requests"
+        assert 'revisit_rejected_total{reason="memory"}' in httpx.get(f"{service.url}/metrics").text
+        assert int(answer.headers["retry-after"]) > 0
+        until(lambda: enrolled().status_code in (200, 201))
+        (given_up,) = answers(read_all(oldest))
+        assert (given_up.status, given_up.problem()) == (408, "request-timeout")
+        assert b"others needed its memory" in given_up.body

@@ -148,6 +148,19 @@ def test_the_first_probe_of_a_service_that_is_busy_since_it_started_finds_it_rea
     assert (answer.status_code, answer.json()["checks"]["encoder"]) == (200, "ok")
 
 
+def test_what_was_wrong_some_time_ago_is_looked_at_again_before_it_is_told(
+    runtime: Runtime, client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A page that asks now and then is not shown the trouble of half a minute ago."""
+    until(client, True)
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(runtime.store, "check", lambda: "the disk does not answer")
+        until(client, False)
+    monkeypatch.setattr("app.http.readiness.PATIENCE_S", 0.0)
+    monkeypatch.setattr("app.http.readiness.BAD_PATIENCE_S", PATIENCE_S)
+    assert client.get("/readyz").status_code == 200
+
+
 def test_it_is_not_ready_while_the_table_of_views_cannot_be_read(runtime: Runtime, client: CheckedClient) -> None:
     """Its clock and its maps are read each time; without views there is nothing to enrol into or to find."""
     until(client, True)

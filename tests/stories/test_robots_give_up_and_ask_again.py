@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 
 from app.http.application import create_app
@@ -176,3 +177,18 @@ def test_requests_that_are_sent_ahead_are_all_answered(port: int, gate: Gate) ->
         while piece := connection.recv(65536):
             answers += piece
     assert answers.count(b"HTTP/1.1 200 OK") == 3
+
+
+def test_large_photos_wait_as_they_were_sent(runtime: Runtime, port: int, gate: Gate) -> None:
+    """The pixels of two of 32 megapixels fill the room; the others are decoded when it is their turn."""
+    large = request("/query?map=town", encoded(np.full((5000, 6400, 3), 99, np.uint8), "png"), Connection="close")
+    with ExitStack() as robots:
+        waiting = [robots.enter_context(sent(port, large)) for _ in range(QUERIES)]
+        until(lambda: (runtime.scheduler.queries_waiting, runtime.services.query.outside) == (2, QUERIES - 2))
+        shown = httpx.get(f"http://127.0.0.1:{port}/metrics").text
+        assert f"revisit_queries_waiting {QUERIES}.0" in shown
+        refused = httpx.post(f"http://127.0.0.1:{port}/query?map=town", content=PHOTO, headers=JPEG)
+        assert refused.status_code == 429
+        gate.open.release(QUERIES)
+        answers = [b"".join(iter(lambda: connection.recv(65536), b"")) for connection in waiting]  # noqa: B023
+    assert all(answer.startswith(b"HTTP/1.1 200 OK") for answer in answers)

@@ -31,6 +31,7 @@ from worker.service.searching import Searcher
 from worker.service.shadows import ShadowService
 from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
+from worker.service.waiting_room import WaitingRoom
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     settings, store, decoder = parts.settings, parts.store, parts.decoder
     scheduler, describers, catalogue = parts.scheduler, parts.describers, parts.catalogue
     explanations = Explanations(settings.explanations)
+    decoders = max(1, settings.decoders)
     searcher = Searcher(
         maps=store.maps,
         views=store.views,
@@ -84,7 +86,11 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     )
     enroll = EnrollService(
         maps=store.maps, enrolment=parts.enrolment, views=store.views, removals=store.removals, queue=store.jobs,
-        settlements=parts.settlements, decode=decoder.decode, read_exif=decoder.read_exif,
+        settlements=parts.settlements, read_exif=decoder.read_exif,
+        room=WaitingRoom(
+            decoder.decode, "enrolments", limit=settings.queue, decoders=decoders, pace_s=lambda: scheduler.pace_s,
+            most_bytes=settings.pixel_bytes // 8,
+        ),
         look_for_problem=quality.problem_of, default_recipe=default_recipe, limit=settings.queue,
         pace_s=lambda: scheduler.pace_s, wake=parts.bell.ring, workers=lambda: attendance.alive,
         describer=searcher.describer,
@@ -122,7 +128,14 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
             searcher=searcher,
             views=store.views,
             descriptions=store.descriptions,
-            decode=decoder.decode,
+            room=WaitingRoom(
+                decoder.decode,
+                "queries",
+                limit=settings.queries,
+                decoders=decoders,
+                pace_s=lambda: scheduler.pace_s,
+                most_bytes=settings.pixel_bytes // 2,
+            ),
             shrink=codec.shrink,
             look_for_problem=quality.problem_of,
             is_blank=quality.is_blank,

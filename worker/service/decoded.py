@@ -4,9 +4,6 @@ import threading
 
 from schemas.image import Image
 
-MOST_BYTES = 96_000_000
-"""Of pixels that are kept: a hundred images of 640 x 480."""
-
 
 class DecodedImages:
     """Keeps a few decoded images until the worker of this process describes them.
@@ -20,7 +17,7 @@ class DecodedImages:
         Of pixels that are kept at most; 0: no image is.
     """
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, most_bytes: int) -> None:
         self._room = most_bytes
         self._images: dict[str, Image] = {}
         self._lock = threading.Lock()

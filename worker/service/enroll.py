@@ -24,11 +24,13 @@ from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.service import moving, steady
 from worker.service.blurring import BlurringEnrolment
+from worker.service.caller import Caller
 from worker.service.completing import completed
 from worker.service.ports import JobQueue, Maps, Removals, Views
 from worker.service.resemblances import Resemblance
 from worker.service.settlements import Settlements
 from worker.service.views import labelled
+from worker.service.waiting_room import WaitingRoom
 
 NO_WORKER = (
     "no worker is alive to describe the image: start one with `./revisit worker`, or `serve` without "
@@ -107,8 +109,8 @@ class EnrollService:
     enrolment : BlurringEnrolment
     settlements : Settlements
         Waits for a view to be described.
-    decode : function
-        Bytes to Image; raises BadImage.
+    room : WaitingRoom
+        Where images wait before they are decoded.
     read_exif : function
         Bytes to what their EXIF says of place and time, by our names.
     look_for_problem : function
@@ -138,7 +140,7 @@ class EnrollService:
         removals: Removals,
         queue: JobQueue,
         settlements: Settlements,
-        decode: Callable[[bytes], Image],
+        room: WaitingRoom,
         read_exif: Callable[[bytes], Mapping[str, Any]],
         look_for_problem: Callable[[Image], str | None],
         default_recipe: MapRecipe,
@@ -151,7 +153,7 @@ class EnrollService:
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
-        self._decode, self._read_exif = decode, read_exif
+        self._room, self._read_exif = room, read_exif
         self._look_for_problem, self._default_recipe = look_for_problem, default_recipe
         self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
         self._resembles, self._describer = resembles, describer
@@ -196,12 +198,26 @@ class EnrollService:
         began = time.perf_counter()
         with suppress(NotFound):  # it is made, by the running encoder
             self._describer(map_name)
-        image = self._decode(data)
-        problem = self._look_for_problem(image)
-        refuses_poor = self._maps.refuses_poor(map_name) if refuse_poor is None else refuse_poor
-        if problem is not None and refuses_poor:
-            raise PoorImage(problem)
-        decoded = time.perf_counter()
+        with self._room.decoded(data, Caller()) as decoded:
+            storing = time.perf_counter()
+            problem = self._look_for_problem(decoded.image)
+            refuses_poor = self._maps.refuses_poor(map_name) if refuse_poor is None else refuse_poor
+            if problem is not None and refuses_poor:
+                raise PoorImage(problem)
+            waiting, workers = self._admit(waits)
+            if exif:
+                attributes = completed(attributes, self._read_exif(data))
+            recipe = self._default_recipe if makes_map else None
+            options = EnrolmentOptions(datetime.now(UTC), recipe, steady.reading_s(), refuse_poor=refuses_poor)
+            submitted = self._enrolment.submit(map_name, data, decoded.image, attributes, options)
+        if submitted.job_id is not None:
+            self._wake()
+        expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
+        timing_ms = {"decode": decoded.waited_ms + decoded.decode_ms, "store": _since(storing)}
+        return Accepted(submitted, began, expected_s, problem, timing_ms, refuses_poor and workers <= 1)
+
+    def _admit(self, waits: bool) -> tuple[int, int]:
+        """How many images wait to be described, and how many workers are alive; raises as `submit`."""
         waiting = self._queue.count_waiting()
         if waiting >= self._limit:
             raise Busy.queue(waiting, self._pace_s(), "enrolments")
@@ -210,16 +226,7 @@ class EnrollService:
             raise Unavailable(NO_WORKER, NO_WORKER_RETRY_S)
         if waits and isinstance(self._settlements.trouble, DiskFull | StorageFailed):
             raise self._settlements.trouble
-        if exif:
-            attributes = completed(attributes, self._read_exif(data))
-        recipe = self._default_recipe if makes_map else None
-        options = EnrolmentOptions(datetime.now(UTC), recipe, steady.reading_s(), refuse_poor=refuses_poor)
-        submitted = self._enrolment.submit(map_name, data, image, attributes, options)
-        if submitted.job_id is not None:
-            self._wake()
-        expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
-        timing_ms = {"decode": (decoded - began) * 1000, "store": _since(decoded)}
-        return Accepted(submitted, began, expected_s, problem, timing_ms, refuses_poor and workers <= 1)
+        return waiting, workers
 
     def take(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Enrolled:
         """Submit the image of a kept query that somebody decided to enrol; raises as `submit`.

@@ -31,7 +31,6 @@ from worker.images.apart.stream import Repeated
 from worker.service import steady
 from worker.service.blurring import BlurringEnrolment
 from worker.service.completing import completed, turned, wanted_of_exif
-from worker.service.decoded import MOST_BYTES
 from worker.service.enroll import KEPT
 from worker.service.import_ports import ImportJobs, Uploads
 from worker.service.import_report import Report
@@ -49,9 +48,6 @@ AHEAD = 32
 
 LEAST_AHEAD = 3
 """Images stored ahead however large they are: one is encoded, one is claimed, and the next is there in time."""
-
-AHEAD_BYTES = MOST_BYTES // 2
-"""Of the pixels of images stored ahead; enrolments need room for theirs too."""
 
 DECODED_AHEAD = 4
 """Images read and decoded ahead of the store."""
@@ -79,6 +75,8 @@ class Importer:
     look_for_problem : function
         What is wrong with an image, in words, or None.
     limits : Limits
+    ahead_bytes : int
+        Of the pixels of images that are stored ahead of the encoder.
     wake : function
         Called when a description was queued.
     """
@@ -95,11 +93,13 @@ class Importer:
         read_exif: Callable[[bytes], Mapping[str, Any]],
         look_for_problem: Callable[[Image], str | None],
         limits: Limits,
+        ahead_bytes: int,
         wake: Callable[[], None],
     ) -> None:
         self._uploads, self._jobs, self._enrolment, self._settlements = uploads, jobs, enrolment, settlements
         self._decode, self._read_exif, self._look_for_problem = decode, read_exif, look_for_problem
         self._limits, self._wake, self._removals = limits, wake, removals
+        self.ahead_bytes = ahead_bytes
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
         """Import a recording until `stopping()` is true; what is there already is skipped, an error fails the job.
@@ -318,7 +318,9 @@ class _Run:
     def _is_ahead(self) -> bool:
         """Whether enough is stored: the encoder is to catch up first."""
         count = len(self._describing)
-        return count >= AHEAD or (count >= LEAST_AHEAD and sum(one.size for one in self._describing) > AHEAD_BYTES)
+        return count >= AHEAD or (
+            count >= LEAST_AHEAD and sum(one.size for one in self._describing) > self._importer.ahead_bytes
+        )
 
     def _await_oldest(self) -> None:
         file, view_id, own, _, poor = self._describing[0]

@@ -32,6 +32,7 @@ from worker.service.query_options import QueryOptions
 from worker.service.results import RankedResults, ScoredView, SearchOutcome
 from worker.service.searching import Searcher
 from worker.service.sheets import cells_of
+from worker.service.waiting_room import WaitingRoom
 
 log = logging.getLogger("revisit.service")
 
@@ -115,8 +116,8 @@ class QueryService:
     searcher : Searcher
     views, descriptions
         Parts of the store.
-    decode : function
-        Bytes to Image; raises BadImage.
+    room : WaitingRoom
+        Where queries wait before their images are decoded.
     shrink : function
         Image to a smaller one, which is kept for its explanation.
     look_for_problem : function
@@ -141,7 +142,7 @@ class QueryService:
         searcher: Searcher,
         views: Views,
         descriptions: DescriptionReader,
-        decode: Callable[[bytes], Image],
+        room: WaitingRoom,
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
         is_blank: Callable[[Image, Booleans], bool],
@@ -152,10 +153,15 @@ class QueryService:
         drives: Drives,
     ) -> None:
         self._searcher, self._views, self._descriptions = searcher, views, descriptions
-        self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
+        self._room, self._shrink, self._look_for_problem = room, shrink, look_for_problem
         self._is_blank = is_blank
         self._thumbnail, self._kept, self.scores = thumbnail, kept, scores
         self._explanations, self._drives = explanations, drives
+
+    @property
+    def outside(self) -> int:
+        """Queries that wait before their images are decoded."""
+        return self._room.outside
 
     def query(
         self, data: bytes, *maps: str, options: QueryOptions = QueryOptions(), caller: Caller | None = None
@@ -185,17 +191,18 @@ class QueryService:
         # Unknown maps and views are refused before any work is done.
         describers = {name: self._searcher.describer(name) for name in maps}
         wanted = self._filters(options.filters, maps)
-        image = self._decode(data)
-        decoded = time.perf_counter()
-        found, described = self._searcher.describe_and_search(
-            image, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
-        )
+        with self._room.decoded(data, caller) as decoded:
+            image = decoded.image
+            found, described = self._searcher.describe_and_search(
+                image, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
+            )
         result = self._decided(image, maps, found, options)
         if options.keep and options.of_whole_maps:
             self._keep(result, data)
         if options.explain:
             result = replace(result, differs=self._explain(result))
-        timing_ms = {"decode": (decoded - began) * 1000, **_timing_ms(described, result.found)}
+        timing_ms = {"decode": decoded.decode_ms, **_timing_ms(described, result.found)}
+        timing_ms["queue"] += decoded.waited_ms
         return replace(result, timing_ms={**timing_ms, "total": (time.perf_counter() - began) * 1000})
 
     def _decided(
