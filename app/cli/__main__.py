@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from app.cli.filters import points_joined
-from app.cli.output import DONE, FAILED, WRONG_USE, Failure, error_text, say
+from app.cli.output import FAILED, READER_GONE, WRONG_USE, Failure, error_text, say
 from app.version import VERSION
 
 GROUPS = (
@@ -106,9 +106,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         say("revisit: interrupted")
         return 130
     except BrokenPipeError:
-        # The reader of the output (`| head`) has gone, which is no failure.
+        # The reader of the output (`| head`) has gone: whether all went well was part of what it did not read.
         sys.stderr.close()
-        return DONE
+        return READER_GONE
     except Exception as error:
         if (text := _foreseen(error)) is None:
             raise

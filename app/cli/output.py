@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 if TYPE_CHECKING:
     from revisit_client.wire import Job
 
-DONE, FAILED, WRONG_USE = 0, 1, 2
-"""Exit codes: done, failed, wrong arguments."""
+DONE, FAILED, WRONG_USE, READER_GONE = 0, 1, 2, 141
+"""Exit codes: done, failed, wrong arguments, and that of a program which SIGPIPE ended, as shells give it."""
 
 
 class Failure(Exception):

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -222,3 +223,14 @@ def test_a_full_disk_behind_the_output_is_told_without_a_traceback(service: Fake
         command = [sys.executable, "-m", "app.cli", "maps", "--url", service.url]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (1, "revisit: the output cannot be written: No space left on device\n")
+
+
+def test_whose_output_nobody_reads_does_not_say_that_all_went_well(service: FakeService) -> None:
+    """`| head` ends it as it ends other programs: what failed may have stood in what was not read."""
+    service.replies["GET /maps"] = 200, {"maps": []}
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "app.cli", "maps", "--url", service.url]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, "")
