@@ -46,7 +46,7 @@ class ServiceArtist:
         scored = next((v for v in result.results.views if v.view.image.sha256 == other.digest), None)
         if scored is None:
             return shown
-        explained = Explained(
+        explained = Explained.of(
             shrink(one), result.description, result.results, headline(result.decision), result.results.rival
         )
         drawn = self._draw.draw_explanation(explained, scored)

@@ -64,7 +64,7 @@ def test_what_the_camera_carries_along_says_nothing_of_a_place(
         for name in PLACES[:3]:  # what is explained is what ranked: without the bonnet of the views as well
             taken = jpeg(carried(scene(name).seen_from(dx=0.5, ahead=0.4, turn=4).pixels))
             told = runtime.services.query.query(taken, "drive")
-            explained = Explained(told.image, told.results.query, told.results, headline(told.decision))
+            explained = Explained.of(told.image, told.results.query, told.results, headline(told.decision))
             for rank, one in enumerate(told.results.views[:3]):
                 kept = runtime.store.descriptions.cells([one.seq], told.results.recipe.description.id)
                 shown = cells_of(explained, one, kept[one.seq])

@@ -1,8 +1,10 @@
 """An explanation shows what decided: cells, keypoints and regions that agree, and why a rival lost."""
 
+import gc
 import io
 from collections.abc import Iterator
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from schemas.settings import Settings
 from tests.stories.photos import photo
 from worker.images.codec import shrink
 from worker.images.explanation import WIDTH, Sheet
+from worker.method.evidence import Ranking
 from worker.runtime import Runtime, build
 from worker.service.explanations import Explained, headline
 from worker.service.query import QueryResult
@@ -47,7 +50,7 @@ def result(runtime: Runtime) -> QueryResult:
 
 
 def explained(result: QueryResult) -> Explained:
-    return Explained(
+    return Explained.of(
         shrink(result.image), result.description, result.results, headline(result.decision), result.results.rival
     )
 
@@ -169,9 +172,7 @@ def test_regions_of_things_that_move_and_specks_are_not_shown_as_evidence(
     moving = recipe.model_copy(update={"description": recipe.description.model_copy(update={"dynamic": (large[0],)})})
     of = explained(result)
     plain = drawn(runtime, result, first, None)
-    filtered = drawn(
-        runtime, result, first, None, explained=replace(of, results=replace(of.results, recipe=moving))
-    )  # fmt: skip
+    filtered = drawn(runtime, result, first, None, explained=replace(of, recipe=moving))
 
     assert [label for label, *_ in plain.nodes] == large
     assert [label for label, *_ in filtered.nodes] == [label for label in large if label != large[0]]
@@ -245,3 +246,17 @@ def test_views_are_called_what_they_are_called_now(runtime: Runtime) -> None:
         assert services.renderings.explanation(kept.id, None) != before
         called(runtime, view.id, view.attributes.place)
         assert services.renderings.explanation(kept.id, None) == before
+
+
+def test_what_is_kept_of_a_query_holds_no_evidence_of_all_its_candidates(result: QueryResult) -> None:
+    """It is as much memory as the image, and the latest 200 explained queries are kept."""
+    seen: set[int] = set()
+    reached: list[object] = [explained(result)]
+    while reached:
+        one = reached.pop()
+        if id(one) in seen or isinstance(one, type | ModuleType):
+            continue
+        seen.add(id(one))
+        assert not isinstance(one, Ranking)
+        reached += gc.get_referents(one)
+    assert id(result.results.views[0]) in seen

@@ -139,9 +139,9 @@ class ChangeService:
     def of_query(self, query_id: str) -> Comparison:
         """What changed from the first match of an explained query to its image; raises NotFound, Busy."""
         explained = self._explanations.get(query_id)
-        if explained.headline.status == "no_match" or not explained.results.views:
+        if explained.headline.status == "no_match" or not explained.views:
             return Comparison("no-match", NO_MATCH)
-        first = explained.results.views[0].view
+        first = explained.views[0].view
         with suppress(ImageNotKept):
             return self._compare(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
         return Comparison("image-not-kept", NOT_KEPT, first.id)

@@ -9,7 +9,9 @@ from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.image import Image
 from schemas.latest import Latest
+from schemas.recipe import MapRecipe
 from worker.images.explanation import Headline
+from worker.method.camera_fixed import CameraFixed
 from worker.method.decision import Decision
 from worker.service.results import RankedResults, ScoredView
 
@@ -26,7 +28,11 @@ class Explained:
         The query image, shrunk; explanations are drawn at this size.
     description : Description
         Of the query image.
-    results : RankedResults
+    views : tuple of ScoredView
+        Those that may be shown, best first.
+    recipe : MapRecipe
+    fixed : tuple of CameraFixed
+        What is fixed to the maps' cameras.
     headline : Headline
         The verdict in words.
     rival : ScoredView or None
@@ -37,29 +43,48 @@ class Explained:
 
     image: Image
     description: Description
-    results: RankedResults
+    views: tuple[ScoredView, ...]
+    recipe: MapRecipe
+    fixed: tuple[CameraFixed, ...]
     headline: Headline
     rival: ScoredView | None = None
     maps: tuple[str, ...] = ()
 
+    @classmethod
+    def of(
+        cls,
+        image: Image,
+        description: Description,
+        results: RankedResults,
+        headline: Headline,
+        rival: ScoredView | None = None,
+        maps: tuple[str, ...] = (),
+        top: int | None = None,
+    ) -> "Explained":
+        """Of what a search found, what its first `top` views are drawn from.
+
+        The results themselves hold the evidence of all candidates: as much memory as the image.
+        """
+        return cls(image, description, results.views[:top], results.recipe, results.fixed, headline, rival, maps)
+
     def view(self, view_id: str | None) -> ScoredView:
         """The result for a view, or the first result when `view_id` is None; raises NotFound."""
-        for scored in self.results.views:
+        for scored in self.views:
             if view_id is None or scored.view.id == view_id:
                 return scored
         raise NotFound("match", view_id or "1", "the query has no such match")
 
     def rank(self, scored: ScoredView) -> int:
         """Rank of a result, from 1."""
-        return 1 + [one.view.id for one in self.results.views].index(scored.view.id)
+        return 1 + [one.view.id for one in self.views].index(scored.view.id)
 
     def is_first(self, scored: ScoredView) -> bool:
         """Whether a result is the first match."""
-        return scored.view.id == self.results.views[0].view.id
+        return scored.view.id == self.views[0].view.id
 
     def compared_with(self, scored: ScoredView) -> ScoredView | None:
         """The view that a result is compared with: for the first match the rival, for any other the first match."""
-        return self.rival if self.is_first(scored) else self.results.views[0]
+        return self.rival if self.is_first(scored) else self.views[0]
 
 
 def headline(decision: Decision) -> Headline:

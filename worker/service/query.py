@@ -295,10 +295,11 @@ class QueryService:
 
     def _explain(self, result: QueryResult) -> tuple[Region, ...]:
         """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""
-        shown = replace(result.results, views=result.results.views[: result.top])
         rival = None if result.rival is None else result.rival[0]
-        small, query = self._shrink(result.image), result.results.query
-        explained = Explained(small, query, shown, headline(result.decision), rival, result.names)
+        small, results = self._shrink(result.image), result.results
+        explained = Explained.of(
+            small, results.query, results, headline(result.decision), rival, result.names, result.top
+        )
         self._explanations.keep(result.id, explained)
         return self._differs(explained) if result.decision.reason.code == "look-alike" else ()
 
@@ -312,8 +313,8 @@ class QueryService:
         """Where the first match and its rival differ; nothing when there is no rival or its cells are gone."""
         if explained.rival is None:
             return ()
-        two = explained.results.views[0], explained.rival
-        stored = self._descriptions.cells([one.seq for one in two], explained.results.recipe.description.id)
+        two = explained.views[0], explained.rival
+        stored = self._descriptions.cells([one.seq for one in two], explained.recipe.description.id)
         ours, theirs = (cells_of(explained, one, stored.get(one.seq)) for one in two)
         if ours is None or theirs is None:
             return ()

@@ -159,7 +159,7 @@ class RenderingService:
                 against = self._now(against)
                 other = against, self._photo(against)
         seqs = [scored.seq] if other is None else [scored.seq, other[0].seq]
-        cells = self._descriptions.cells(seqs, explained.results.recipe.description.id)
+        cells = self._descriptions.cells(seqs, explained.recipe.description.id)
         return explanation_png(sheet(explained, scored, image, other, cells))
 
     def _now(self, scored: ScoredView) -> ScoredView:

@@ -65,12 +65,12 @@ def cells_of(explained: Explained, scored: ScoredView, stored: Int8s | None) -> 
     if scored.dense is None or stored is None or stored.shape != query.cells.shape or not stored.size:
         return None
     extent = extent_of(scored.view.image.width, scored.view.image.height)
-    for one in explained.results.fixed:
+    for one in explained.fixed:
         stored = one.cleared(stored)
     return cell_evidence.agreeing(
         query.cells,
         stored,
-        explained.results.recipe.description.parameters.cell_channels(),
+        explained.recipe.description.parameters.cell_channels(),
         cell_aspect=hough.cell_aspects(query.appearance.extent, [extent])[0],
         align_scale=scored.dense.align_scale,
     )
@@ -230,7 +230,7 @@ def _nodes(explained: Explained, scored: ScoredView) -> list[tuple[str, tuple[fl
     if scored.graph is None:
         return []
     recipe, graph, view = (
-        explained.results.recipe.description,
+        explained.recipe.description,
         explained.description.appearance.graph,
         scored.graph.view,
     )
