@@ -98,7 +98,9 @@ class Settings(BaseSettings):
     wait: float = Field(30, ge=0, description="Seconds that an enrolment waits at most for its description.")
     reserve_mb: float = Field(64, ge=0, description="Disk space kept for deletions, in 10^6 bytes; 0 keeps none.")
     max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
-    bodies_mb: float = Field(256, gt=0, description="Memory for request bodies together, in 10^6 bytes.")
+    bodies_mb: float = Field(
+        256, gt=0, description="Memory for request bodies together, and as much for answers, in 10^6 bytes."
+    )
     pixels_mb: float = Field(256, gt=0, description="Memory for decoded images that wait, in 10^6 bytes.")
     max_import_mb: float = Field(4000, gt=0, description="Largest recording that is imported, in 10^6 bytes.")
     body_s: float = Field(30, gt=0, description="Seconds for a body to arrive, and one more for each 50 kB of it.")

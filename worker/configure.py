@@ -17,8 +17,14 @@ SWITCH_S = 0.001
 between native calls; Python's default of 5 ms delayed an enrolment by a tenth (docs/speed.md)."""
 
 ARENAS = 2
-"""Of glibc's allocator. With them a service that enrols photos of 2 megapixels takes half the memory, in no more time
-(docs/sizing.md)."""
+"""Of glibc's allocator, for all threads."""
+
+GIVEN_BACK_BYTES = 4_000_000
+"""Memory of this size goes back to the system once it is freed: images, bodies. By default glibc keeps blocks of up to
+32 MB as soon as it has seen one."""
+
+KEPT_BYTES = 64_000_000
+"""At the end of an arena, which the next query needs again."""
 
 
 def configure(threads: int) -> None:
@@ -45,15 +51,21 @@ def configure(threads: int) -> None:
 
 
 def _share_memory() -> None:
-    """Let all threads share `ARENAS` arenas of glibc, unless MALLOC_ARENA_MAX says otherwise; without glibc do nothing.
+    """Let glibc's allocator keep little of what large images needed, in no more time (docs/sizing.md).
 
     By default threads get arenas of their own, eight for each core, and each keeps the megabytes of the largest images
-    that its threads ever worked on.
+    that its threads ever worked on. What a variable of glibc says goes before; without glibc nothing is done.
     """
     libc = ctypes.CDLL(None)
-    if hasattr(libc, "mallopt") and "MALLOC_ARENA_MAX" not in os.environ:
-        arena_max = -8
-        libc.mallopt(arena_max, ARENAS)
+    if hasattr(libc, "mallopt"):
+        options = {
+            "MALLOC_TRIM_THRESHOLD_": (-1, KEPT_BYTES),
+            "MALLOC_MMAP_THRESHOLD_": (-3, GIVEN_BACK_BYTES),
+            "MALLOC_ARENA_MAX": (-8, ARENAS),
+        }
+        for variable, (option, value) in options.items():
+            if variable not in os.environ:
+                libc.mallopt(option, value)
 
 
 def has_torch() -> bool:

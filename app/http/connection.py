@@ -140,6 +140,7 @@ class BoundedProtocol(H11Protocol):
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._discarded = 0
         self._unsent = 0
+        self._reads_slowly_since = 0.0
 
     # what asyncio calls
 
@@ -178,7 +179,9 @@ class BoundedProtocol(H11Protocol):
     def pause_writing(self) -> None:
         """The client reads more slowly than it is sent to: give it up where it reads no more."""
         super().pause_writing()
+        self._reads_slowly_since = self.loop.time()
         self._watch_writing(PAUSED_S)
+        self._make_room()
 
     def resume_writing(self) -> None:
         """The client has caught up: watch it no longer."""
@@ -294,6 +297,21 @@ class BoundedProtocol(H11Protocol):
             return
         self._unsent = unsent
         self._after("write", patience_s, partial(self._watch_writing, patience_s))
+
+    def _make_room(self) -> None:
+        """Give up other clients, those that have been reading for longest, while all answers take too much memory."""
+        unsent = {one: one._inner.get_write_buffer_size() for one in self.connections if isinstance(one, type(self))}
+        total = sum(unsent.values())
+        for one in sorted(unsent, key=lambda connection: connection._reads_slowly_since):
+            if total <= self.limits.unsent_bytes:
+                return
+            if one is not self and unsent[one]:
+                logger.info(
+                    "an answer is given up: its client reads slowly, and answers take all the memory there is for them",
+                    extra={"event": "answer_given_up", "client": one.client, "bytes": unsent[one]},
+                )
+                one._inner.abort()
+                total -= unsent[one]
 
     def _queued(self) -> int:
         """Bytes that the system has not sent, or that were not acknowledged; 0 where it does not tell."""

@@ -56,6 +56,9 @@ class Calls(Protocol):
 DRAWN_AT_ONCE = 2
 """Photos that are drawn on at once: one while the network finds what to draw on the next."""
 
+READ_AT_ONCE = 2
+"""Images that are read at once: each is in memory three times over, and what is read is written before more is."""
+
 
 class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
     """Everything a user does besides enrolling and querying.
@@ -72,6 +75,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self._long = LongWork()
         self._writes = LongWork(None, "revisit-writes")
         self._drawings = asyncio.Semaphore(DRAWN_AT_ONCE)
+        self._images = asyncio.Semaphore(READ_AT_ONCE)
 
     # views
 
@@ -135,7 +139,8 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def image(self, view_id: str) -> tuple[bytes, str]:
         """The enrolled bytes of a view's image, and their media type."""
-        return await asyncio.to_thread(self._services.renderings.image, view_id)
+        async with self._images:
+            return await asyncio.to_thread(self._services.renderings.image, view_id)
 
     async def thumbnail(self, view_id: str, longest: int) -> bytes:
         """A JPEG of at most `longest` pixels on its longer side."""

@@ -40,15 +40,19 @@ class ConnectionLimits:
         Seconds for which the rest of a refused body is thrown away before the connection is broken.
     discard_bytes : int
         Bytes of a refused body that are thrown away at most.
+    unsent_bytes : int
+        Bytes of all answers together that wait for their clients to read them.
     """
 
     connections: int
     head_s: float
     discard_s: float
     discard_bytes: int
+    unsent_bytes: int
 
     @classmethod
     def of(cls, settings: Settings) -> "ConnectionLimits":
         """The limits that the settings ask for."""
         discarded = round(4 * settings.max_body_mb * MEGA)
-        return cls(settings.connections, settings.head_s, settings.body_s, discarded)
+        unsent = round(settings.bodies_mb * MEGA)
+        return cls(settings.connections, settings.head_s, settings.body_s, discarded, unsent)

@@ -1,6 +1,7 @@
 """One connection on a small application: what takes too long against a real process is tried here with short times."""
 
 import asyncio
+import contextlib
 import json
 import logging
 import socket
@@ -36,13 +37,15 @@ async def large(scope: Scope, receive: Receive, send: Send) -> None:
 
 @asynccontextmanager
 async def listening(
-    connections: int = 10, app: ASGIApp = large, head_s: float = 5
+    connections: int = 10, app: ASGIApp = large, head_s: float = 5, unsent_bytes: int = 10**9
 ) -> AsyncIterator[tuple[ServerState, int]]:
     """A server of the application on a free port; its connections stand in the state."""
     config = configured(app, Settings())
     config.load()
     state = ServerState()
-    made = protocol_with(ConnectionLimits(connections, head_s, discard_s=5, discard_bytes=1000))
+    made = protocol_with(
+        ConnectionLimits(connections, head_s, discard_s=5, discard_bytes=1000, unsent_bytes=unsent_bytes)
+    )
     server = await asyncio.get_running_loop().create_server(lambda: made(config, state, {}), "127.0.0.1", 0)
     async with server:
         yield state, server.sockets[0].getsockname()[1]
@@ -114,6 +117,55 @@ def test_a_client_that_reads_slowly_gets_all_of_it(monkeypatch: pytest.MonkeyPat
             await gone(state)
 
     asyncio.run(story())
+
+
+async def reading(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A client that has read the head of its answer, and nothing else."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=4096)
+    writer.write(ASK + b"Connection: close\r\n\r\n")
+    await reader.readuntil(b"\r\n\r\n")
+    return reader, writer
+
+
+async def all_read(reader: asyncio.StreamReader) -> int:
+    """Bytes until an answer ends or breaks off."""
+    size = 0
+    with contextlib.suppress(ConnectionError):
+        while piece := await asyncio.wait_for(reader.read(1_000_000), 20):
+            size += len(piece)
+    return size
+
+
+def test_where_answers_take_too_much_memory_whoever_reads_for_longest_is_given_up(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, "revisit.http")
+
+    async def story() -> list[int]:
+        async with listening(unsent_bytes=2 * len(LARGE)) as (state, port):
+            clients = [await reading(port) for _ in range(3)]
+            sizes = [await all_read(reader) for reader, _ in clients]
+            for _, writer in clients:
+                writer.close()
+            await gone(state)
+        return sizes
+
+    first, *others = asyncio.run(story())
+    assert first < len(LARGE)  # it ends before what its Content-Length says
+    assert others == [len(LARGE)] * 2
+    assert [vars(line)["event"] for line in caplog.records] == ["answer_given_up"]
+
+
+def test_an_answer_has_room_however_large_it_is() -> None:
+    async def story() -> int:
+        async with listening(unsent_bytes=1) as (_, port):
+            reader, writer = await reading(port)
+            await asyncio.sleep(0.2)
+            size = await all_read(reader)
+            writer.close()
+        return size
+
+    assert asyncio.run(story()) == len(LARGE)
 
 
 @pytest.mark.parametrize(
