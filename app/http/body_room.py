@@ -16,6 +16,9 @@ RETRY_S = 2
 MEMORY = "memory"
 """Name of this limit, in the log and the metrics."""
 
+LET_GO = "let_go_of_body"
+"""Key of a request's state: a function to be called once nothing holds its body any more, before the answer."""
+
 
 class Body:
     """One body, from its first byte until its request is answered.
@@ -87,7 +90,7 @@ class BodyRoom:
         self._held += byte_count
 
     def close(self, body: Body) -> None:
-        """The request of a body was answered."""
+        """Nothing holds a body any more, or its request was answered; may be called again."""
         self._bodies.discard(body)
         self._let_go(body)
 

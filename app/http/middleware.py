@@ -6,13 +6,14 @@ import re
 import secrets
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.body import announced_bytes, has_body
-from app.http.body_room import MEMORY, BodyRoom
+from app.http.body_room import LET_GO, MEMORY, BodyRoom
 from app.http.limits import CROWDED, SLOWEST_BYTES_S
 from app.http.metrics import Metrics
 from app.http.notes import Notes, noting
@@ -257,6 +258,7 @@ class BodyLimit:
         begin = time.monotonic()
         in_memory = bounded and not recording
         body = self._room.open()
+        scope.setdefault("state", {})[LET_GO] = partial(self._room.close, body)
 
         async def receive_counted() -> Message:
             nonlocal received, complete

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from contextvars import copy_context
@@ -64,19 +64,21 @@ class Recogniser:
 
     async def enroll(
         self,
-        images: Sequence[tuple[str | None, bytes]],
+        images: list[tuple[str | None, bytes]],
         map_name: str,
         attributes: ViewAttributes,
         wait: bool,
         *,
         refuse_poor: bool | None,
         exif: bool = False,
+        stored: Callable[[], object] = lambda: None,
     ) -> list[wire.Enrolled | RevisitError]:
         """Keep images and describe them.
 
         Parameters
         ----------
-        images : sequence of (file name or None, bytes)
+        images : list of (file name or None, bytes)
+            Emptied once they are stored: descriptions may be waited for, and the bytes take memory.
         map_name : str
             The map is made when there is none of this name.
         attributes : ViewAttributes
@@ -87,6 +89,8 @@ class Recogniser:
             Whether images that are dark, overexposed, covered or blurred are refused; None: as the map says.
         exif : bool
             Whether the images' EXIF says where and when they were taken, where `attributes` do not.
+        stored : function
+            Called once the images are stored or refused.
 
         Returns
         -------
@@ -100,6 +104,8 @@ class Recogniser:
             await _or_refusal(self._storing.run(submit, data, map_name, replace(attributes, filename=name)))
             for name, data in images
         ]
+        images.clear()
+        stored()
         return [
             one if isinstance(one, RevisitError) else await _or_refusal(self._outcome(one, wait, until))
             for one in accepted

@@ -4,7 +4,7 @@ It keeps views in dictionaries, checks images with the real codec, and fails on 
 """
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Collection, Sequence
+from collections.abc import AsyncIterator, Callable, Collection
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, cast
@@ -100,12 +100,19 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
             raise self.fails[name]
 
     async def enroll(
-        self, images: Sequence[Any], map_name: str, attributes: ViewAttributes, wait: bool, **given: bool | None
+        self,
+        images: list[Any],
+        map_name: str,
+        attributes: ViewAttributes,
+        wait: bool,
+        stored: Callable[[], object] = lambda: None,
+        **given: bool | None,
     ) -> list[wire.Enrolled | RevisitError]:
         self._may_fail("enroll")
         self.given = {"map": map_name, "said": attributes, "wait": wait, "names": [name for name, _ in images]}
         self.given |= given
         self.enrolments += 1
+        stored()
         if self.hold is not None:
             await self.hold.wait()
         return [self._enroll(data, map_name, replace(attributes, filename=name), wait) for name, data in images]

@@ -81,9 +81,10 @@ def test_a_list_is_given_while_many_enrolments_wait_for_the_store() -> None:
     recogniser = Recogniser(Mock(submit=lambda *_, **__: ends.wait(30)), Mock(), Mock(), 1, 30.0)
 
     async def meanwhile() -> str:
-        image = [(None, b"image")]
         waiting = [
-            asyncio.ensure_future(recogniser.enroll(image, "campus", ViewAttributes(), False, refuse_poor=None))
+            asyncio.ensure_future(
+                recogniser.enroll([(None, b"image")], "campus", ViewAttributes(), False, refuse_poor=None)
+            )
             for _ in range(MANY)
         ]
         await asyncio.sleep(0)

@@ -1,11 +1,13 @@
 """`POST /enroll`: keep images and their attributes."""
 
 import asyncio
+from collections.abc import Sequence
 
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from app.http.body import Sent, take
+from app.http.body import take
+from app.http.body_room import LET_GO
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import ENROLLED
 from app.http.idempotency import fingerprint, header, key_of, once
@@ -68,10 +70,22 @@ async def enroll(
     params = read(EnrollParameters, sent.parameters, errors)
     check_map(access, params.map)
     images = [(params.filename or name, data) for name, data in sent.images]
+    names = [name for name, _ in sent.images]
+    key = key_of(request, access)
+    print_ = ""
+    if key is not None:
+        print_ = await asyncio.to_thread(fingerprint, [data for _, data in images], sent.parameters)
+    del sent  # the images go once they are stored
 
     async def work() -> Response:
         outcomes = await recogniser.enroll(
-            images, params.map, params.attributes(), params.wait, refuse_poor=params.refuse_poor, exif=params.exif
+            images,
+            params.map,
+            params.attributes(),
+            params.wait,
+            refuse_poor=params.refuse_poor,
+            exif=params.exif,
+            stored=request.scope["state"][LET_GO],
         )
         for outcome in outcomes:
             if isinstance(outcome, Enrolled):
@@ -80,16 +94,12 @@ async def enroll(
             view_ids=[one.view.id for one in outcomes if isinstance(one, Enrolled)],
             job_ids=[one.job for one in outcomes if isinstance(one, Enrolled) and one.job],
         )
-        return _answer(sent, outcomes)
+        return _answer(names, outcomes)
 
-    key = key_of(request, access)
-    if key is None:
-        return await work()
-    print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.images], sent.parameters)
-    return await once(curator, request, key, print_, work)
+    return await work() if key is None else await once(curator, request, key, print_, work)
 
 
-def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
+def _answer(names: Sequence[str | None], outcomes: list[Enrolled | RevisitError]) -> Response:
     """One image: its view or error. Several: a list of both; an error when all were refused."""
     views = [o for o in outcomes if isinstance(o, Enrolled)]
     refused = [(index, o) for index, o in enumerate(outcomes) if isinstance(o, RevisitError)]
@@ -101,7 +111,7 @@ def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
     if len(outcomes) > 1:
         body = EnrolledMany(
             views=views,
-            errors=[_refusal(index, sent.images[index][0], error) for index, error in refused],
+            errors=[_refusal(index, names[index], error) for index, error in refused],
             revision=max(view.revision for view in views),
             timing_ms=_slowest(views),
         )
