@@ -11,6 +11,9 @@ from schemas.errors import Busy
 PATIENCE_S = 5.0
 """Seconds for which a body may arrive before it makes room for others. A phone sends its photo in one or two."""
 
+SMALL_BYTES = 1_000_000
+"""Of a body for which the last quarter of the room is kept: large photos that are enrolled do not keep queries out."""
+
 RETRY_S = 2
 
 MEMORY = "memory"
@@ -67,12 +70,16 @@ class BodyRoom:
     Parameters
     ----------
     most_bytes : int
+    largest : int
+        Bytes of the largest body that is taken, which has room however little that is.
     clock : function
         Seconds of a clock that never goes back.
     """
 
-    def __init__(self, most_bytes: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._most_bytes, self._clock = most_bytes, clock
+    def __init__(self, most_bytes: int, largest: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._most = max(most_bytes, largest)
+        self._most_large = max(3 * self._most // 4, largest)
+        self._clock = clock
         self._bodies: set[Body] = set()
         self._held = 0
 
@@ -84,8 +91,9 @@ class BodyRoom:
 
     def add(self, body: Body, byte_count: int) -> None:
         """Count what has arrived of a body; raises Busy where there is no room for it."""
-        if self._held + byte_count > self._most_bytes:
-            self._make_room(byte_count)
+        most = self._most if body.byte_count + byte_count <= SMALL_BYTES else self._most_large
+        if self._held + byte_count > most:
+            self._make_room(most - byte_count)
         body.byte_count += byte_count
         self._held += byte_count
 
@@ -94,13 +102,14 @@ class BodyRoom:
         self._bodies.discard(body)
         self._let_go(body)
 
-    def _make_room(self, byte_count: int) -> None:
+    def _make_room(self, most: int) -> None:
+        """Hold no more than that; raises Busy."""
         now = self._clock()
         slow = [one for one in self._bodies if one.waits and one.byte_count and now - one.began > PATIENCE_S]
         for one in sorted(slow, key=lambda body: body.began):
             one.make_room()
             self._let_go(one)
-            if self._held + byte_count <= self._most_bytes:
+            if self._held <= most:
                 return
         note(limit=MEMORY)
         raise Busy(f"bodies of other requests take all the memory there is for them; try again in {RETRY_S} s", RETRY_S)

@@ -233,7 +233,7 @@ class BodyLimit:
         self._most = round(settings.max_body_mb * MEGA)
         self._most_imported = round(settings.max_import_mb * MEGA)
         self._seconds = settings.body_s
-        self._room = BodyRoom(max(round(settings.bodies_mb * MEGA), self._most))
+        self._room = BodyRoom(round(settings.bodies_mb * MEGA), self._most)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request whose body is counted while it is read."""

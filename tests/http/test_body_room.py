@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from app.http.body_room import PATIENCE_S, Body, BodyRoom
+from app.http.body_room import PATIENCE_S, SMALL_BYTES, Body, BodyRoom
 from schemas.errors import Busy
 
 
@@ -22,7 +22,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def room(clock: Clock) -> BodyRoom:
-    return BodyRoom(100, clock)
+    return BodyRoom(100, 1, clock)
 
 
 def test_what_does_not_fit_is_refused_until_others_are_answered(room: BodyRoom) -> None:
@@ -96,3 +96,22 @@ def test_a_body_that_holds_nothing_is_not_given_up_for_others(room: BodyRoom, cl
         waiting.cancel()
 
     asyncio.run(run())
+
+
+def test_the_last_quarter_is_for_small_bodies() -> None:
+    """A robot's query is not kept out by large photos that others enrol."""
+    room = BodyRoom(100 * SMALL_BYTES, 25 * SMALL_BYTES)
+    for _ in range(3):
+        room.add(room.open(), 25 * SMALL_BYTES)
+    with pytest.raises(Busy):
+        room.add(room.open(), 2 * SMALL_BYTES)
+    room.add(room.open(), SMALL_BYTES)
+
+
+def test_the_largest_body_has_room_however_little_that_is() -> None:
+    room = BodyRoom(2 * SMALL_BYTES, 25 * SMALL_BYTES)
+    body = room.open()
+    for _ in range(25):
+        room.add(body, SMALL_BYTES)
+    with pytest.raises(Busy):
+        room.add(room.open(), SMALL_BYTES)
