@@ -230,14 +230,19 @@ class Settings(BaseSettings):
         return _listed(self.webhook_events)
 
     @property
-    def pixel_bytes(self) -> int:
-        """Bytes of decoded images that wait. Half are for queries, an eighth for enrolments that are being stored."""
-        return round(self.pixels_mb * MEGA)
+    def query_pixel_bytes(self) -> int:
+        """Bytes of decoded images of queries that wait for the encoder: half of ``pixels_mb``."""
+        return round(self.pixels_mb * MEGA / 2)
 
     @property
-    def handed_on_bytes(self) -> int:
-        """Bytes of decoded images that are stored and wait for their description: the rest of `pixel_bytes`."""
-        return 3 * self.pixel_bytes // 8
+    def enrolment_pixel_bytes(self) -> int:
+        """Bytes of decoded images that are being stored: an eighth of ``pixels_mb``."""
+        return round(self.pixels_mb * MEGA / 8)
+
+    @property
+    def handed_on_pixel_bytes(self) -> int:
+        """Bytes of decoded images that are stored and wait for their description: the rest of ``pixels_mb``."""
+        return round(self.pixels_mb * MEGA * 3 / 8)
 
     @property
     def cors_origins(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ LET_GO = "let_go_of_body"
 
 
 class Body:
-    """One body, from its first byte until its request is answered.
+    """One body, from before its first byte until nothing holds it any more.
 
     Attributes
     ----------
@@ -62,7 +62,8 @@ class Body:
 
 
 class BodyRoom:
-    """Counts the bytes of all bodies that are held, and refuses what would be more.
+    """Counts the bytes of all bodies that are held, and refuses what would be more; bodies of more than `SMALL_BYTES`
+    have three quarters of the room.
 
     Where there is no room, bodies that have been arriving for more than `PATIENCE_S` are given up for it, the oldest
     first. Otherwise a few connections that send all but the last byte and stop would keep everybody else out.

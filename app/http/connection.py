@@ -24,7 +24,16 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from app.http.limits import CROWDED, IDLE_S, MOST_HEAD_BYTES, PAUSED_S, RESERVE, STALLED_S, ConnectionLimits
+from app.http.limits import (
+    CROWDED,
+    IDLE_S,
+    LITTLE_BYTES,
+    MOST_HEAD_BYTES,
+    PAUSED_S,
+    RESERVE,
+    STALLED_S,
+    ConnectionLimits,
+)
 from app.http.notes import noting
 from app.http.problems import problem
 
@@ -299,10 +308,11 @@ class BoundedProtocol(H11Protocol):
         self._after("write", patience_s, partial(self._watch_writing, patience_s))
 
     def _make_room(self) -> None:
-        """Give up other clients, those that have been reading for longest, while all answers take too much memory."""
+        """Give up other clients while all answers take too much memory: those that have been reading for longest, and
+        last those of which little is held, such as of a snapshot, which is made as it is read."""
         unsent = {one: one._inner.get_write_buffer_size() for one in self.connections if isinstance(one, type(self))}
         total = sum(unsent.values())
-        for one in sorted(unsent, key=lambda connection: connection._reads_slowly_since):
+        for one in sorted(unsent, key=lambda given: (unsent[given] < LITTLE_BYTES, given._reads_slowly_since)):
             if total <= self.limits.unsent_bytes:
                 return
             if one is not self and unsent[one]:

@@ -19,6 +19,9 @@ STALLED_S = 20.0
 PAUSED_S = 60.0
 """The same of an answer that is still being made, such as a snapshot, whose reader may be on a line that breaks off."""
 
+LITTLE_BYTES = 2_000_000
+"""Of an answer that is given up last where all answers take too much memory; a snapshot has less at once."""
+
 RESERVE = 64
 """Connections beyond the bound that are still read: enough to answer each with 503, and to answer the probes."""
 

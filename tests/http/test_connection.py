@@ -119,10 +119,14 @@ def test_a_client_that_reads_slowly_gets_all_of_it(monkeypatch: pytest.MonkeyPat
     asyncio.run(story())
 
 
-async def reading(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+async def either(scope: Scope, receive: Receive, send: Send) -> None:
+    await (streamed if scope["path"] == "/snapshot" else large)(scope, receive, send)
+
+
+async def reading(port: int, path: str = "/") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     """A client that has read the head of its answer, and nothing else."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=4096)
-    writer.write(ASK + b"Connection: close\r\n\r\n")
+    writer.write(f"GET {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n".encode())
     await reader.readuntil(b"\r\n\r\n")
     return reader, writer
 
@@ -154,6 +158,22 @@ def test_where_answers_take_too_much_memory_whoever_reads_for_longest_is_given_u
     assert first < len(LARGE)  # it ends before what its Content-Length says
     assert others == [len(LARGE)] * 2
     assert [vars(line)["event"] for line in caplog.records] == ["answer_given_up"]
+
+
+def test_a_snapshot_goes_on_where_other_answers_are_given_up() -> None:
+    """It is made as it is read, and holds little, however long that takes."""
+
+    async def story() -> list[int]:
+        async with listening(app=either, unsent_bytes=2 * len(LARGE)) as (_, port):
+            clients = [await reading(port, path) for path in ("/snapshot", "/", "/", "/")]
+            sizes = [await all_read(reader) for reader, _ in clients]
+            for _, writer in clients:
+                writer.close()
+        return sizes
+
+    snapshot, first, *_ = asyncio.run(story())
+    assert snapshot == len(LARGE)
+    assert first < len(LARGE)
 
 
 def test_an_answer_has_room_however_large_it_is() -> None:

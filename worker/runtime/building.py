@@ -156,8 +156,8 @@ def _make_loop(parts: Parts, name: str) -> Loop:
     importer = Importer(
         uploads=store.uploads, jobs=store.jobs, removals=store.removals, enrolment=parts.enrolment,
         settlements=parts.settlements, decode=decoder.decode_patiently, read_exif=decoder.read_exif,
-        look_for_problem=quality.problem_of, limits=Limits.of(settings), ahead_bytes=settings.handed_on_bytes // 2,
-        wake=parts.bell.ring,
+        look_for_problem=quality.problem_of, limits=Limits.of(settings),
+        ahead_bytes=settings.handed_on_pixel_bytes // 2, wake=parts.bell.ring,
     )  # fmt: skip
     return Loop(
         jobs=store.jobs, views=store.views, pruning=store.pruning, scheduler=parts.scheduler,

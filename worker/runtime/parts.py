@@ -129,7 +129,7 @@ def make_parts(
         decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
     )  # fmt: skip
     blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
-    decoded = DecodedImages(settings.handed_on_bytes if describes else 0)
+    decoded = DecodedImages(settings.handed_on_pixel_bytes if describes else 0)
     return Parts(
         settings=settings,
         encoder=encoder,

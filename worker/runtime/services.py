@@ -1,6 +1,7 @@
 """The use-cases of a service, each built of the parts that it needs."""
 
 from dataclasses import dataclass
+from functools import partial
 
 from schemas.recipe import MapRecipe
 from worker.images import codec, quality
@@ -70,7 +71,9 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     settings, store, decoder = parts.settings, parts.store, parts.decoder
     scheduler, describers, catalogue = parts.scheduler, parts.describers, parts.catalogue
     explanations = Explanations(settings.explanations)
-    decoders = max(1, settings.decoders)
+    waiting_room = partial(
+        WaitingRoom, decoder.decode, decoders=max(1, settings.decoders), pace_s=lambda: scheduler.pace_s
+    )
     searcher = Searcher(
         maps=store.maps,
         views=store.views,
@@ -87,10 +90,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     enroll = EnrollService(
         maps=store.maps, enrolment=parts.enrolment, views=store.views, removals=store.removals, queue=store.jobs,
         settlements=parts.settlements, read_exif=decoder.read_exif,
-        room=WaitingRoom(
-            decoder.decode, "enrolments", limit=settings.queue, decoders=decoders, pace_s=lambda: scheduler.pace_s,
-            most_bytes=settings.pixel_bytes // 8,
-        ),
+        room=waiting_room("enrolments", limit=settings.queue, most_bytes=settings.enrolment_pixel_bytes),
         look_for_problem=quality.problem_of, default_recipe=default_recipe, limit=settings.queue,
         pace_s=lambda: scheduler.pace_s, wake=parts.bell.ring, workers=lambda: attendance.alive,
         describer=searcher.describer,
@@ -128,14 +128,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
             searcher=searcher,
             views=store.views,
             descriptions=store.descriptions,
-            room=WaitingRoom(
-                decoder.decode,
-                "queries",
-                limit=settings.queries,
-                decoders=decoders,
-                pace_s=lambda: scheduler.pace_s,
-                most_bytes=settings.pixel_bytes // 2,
-            ),
+            room=waiting_room("queries", limit=settings.queries, most_bytes=settings.query_pixel_bytes),
             shrink=codec.shrink,
             look_for_problem=quality.problem_of,
             is_blank=quality.is_blank,
