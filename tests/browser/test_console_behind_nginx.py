@@ -1,5 +1,9 @@
-"""The console behind the example configuration of nginx: its password, and its limit of requests."""
+"""The console behind the example configuration of nginx: its password, and its limit of requests.
 
+Tabs are closed before the proxy stops: they go on asking it, and complain when it is gone.
+"""
+
+from contextlib import closing
 from pathlib import Path
 
 import httpx
@@ -17,8 +21,10 @@ def signed_in(opened: Open, client: httpx.Client, screen: str) -> Tab:
 
 
 def test_the_password_of_the_proxy_opens_every_screen(opened: Open, service: RunningService, tmp_path: Path) -> None:
-    with proxy(tmp_path / "nginx", service.url) as client:
-        tab = signed_in(opened, client, "maps/town")
+    with (
+        proxy(tmp_path / "nginx", service.url) as client,
+        closing(signed_in(opened, client, "maps/town")) as tab,
+    ):
         tab.page.get_by_label("View 1: mill lane").wait_for()
         tab.page.wait_for_selector(".grid img[src^=blob]")
         tab.show("service")
@@ -27,8 +33,10 @@ def test_the_password_of_the_proxy_opens_every_screen(opened: Open, service: Run
 
 
 def test_loading_the_page_again_and_again_is_not_refused(opened: Open, service: RunningService, tmp_path: Path) -> None:
-    with proxy(tmp_path / "nginx", service.url, rate=10) as client:
-        tab = signed_in(opened, client, "maps")
+    with (
+        proxy(tmp_path / "nginx", service.url, rate=10) as client,
+        closing(signed_in(opened, client, "maps")) as tab,
+    ):
         for _ in range(3):
             tab.page.reload()
             tab.page.get_by_role("link", name="town", exact=True).wait_for()
@@ -38,6 +46,7 @@ def test_an_address_with_the_password_in_it_opens_the_console(
     opened: Open, service: RunningService, tmp_path: Path
 ) -> None:
     with proxy(tmp_path / "nginx", service.url) as client:
-        tab = opened("maps", url=str(client.base_url.copy_with(username=PASSWORD[0], password=PASSWORD[1])).rstrip("/"))
-        tab.page.get_by_role("link", name="town", exact=True).wait_for()
-        tab.complaints.clear()  # the address without the password is another host to this test
+        url = str(client.base_url.copy_with(username=PASSWORD[0], password=PASSWORD[1])).rstrip("/")
+        with closing(opened("maps", url=url)) as tab:
+            tab.page.get_by_role("link", name="town", exact=True).wait_for()
+            tab.complaints.clear()  # the address without the password is another host to this test
