@@ -20,6 +20,7 @@ class Latest(OrderedDict[K, V]):
     def __init__(self, most: int) -> None:
         super().__init__()
         self._most, self._setting = most, threading.Lock()
+        self._making: dict[K, threading.Lock] = {}
 
     def __setitem__(self, key: K, value: V) -> None:
         with self._setting:
@@ -29,10 +30,23 @@ class Latest(OrderedDict[K, V]):
                 self.popitem(last=False)
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
-        """The value of a key, which counts as set now; made if there is none, by two threads at once maybe."""
+        """The value of a key, which counts as set now; made if there is none, while others that want it wait.
+
+        Where making it fails, each of those that wait tries for itself, one after the other.
+        """
         with self._setting:
             if key in self:
                 self.move_to_end(key)
                 return self[key]
-        made = self[key] = make()
-        return made
+            making = self._making.setdefault(key, threading.Lock())
+        with making:
+            try:
+                with self._setting:
+                    if key in self:
+                        return self[key]
+                made = self[key] = make()
+                return made
+            finally:
+                with self._setting:
+                    if self._making.get(key) is making:
+                        del self._making[key]

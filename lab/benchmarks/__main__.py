@@ -19,6 +19,7 @@ BENCHMARKS = {
     "fleet": "what PostgreSQL costs a query against SQLite, and what a second worker gives",
     "vectors": "searches in memory against searches in PostgreSQL: times, recall, building",
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
+    "memory": "the most memory that a service takes, under loads of several kinds",
     "importing": "how fast recordings are imported, against the encoder's own rate",
     "living": "what filters, drives, recipe switches, snapshots and health cost in a large map",
     "placeless": "whether one wall, page or sky is taken for another",

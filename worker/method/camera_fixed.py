@@ -184,9 +184,12 @@ def _often(keypoints: Sequence[LocalFeatures]) -> LocalFeatures:
     squares, views = np.unique(inhabited, return_counts=True)
     there = np.flatnonzero(np.isin(square, squares[views >= OFTEN / 2 * len(keypoints)]))
     few = there[view[there] < SOUGHT_IN]
-    sought, candidates = (LocalFeatures(everything.positions[i], everything.descriptors[i]) for i in (few, there))
-    of_view = (view[there][:, None] == np.arange(len(keypoints))).astype(np.float32)
-    seen_in = ((_same(sought, candidates).astype(np.float32) @ of_view) > 0).sum(axis=1)
+    sought = LocalFeatures(everything.positions[few], everything.descriptors[few])
+    seen_in = np.zeros(len(few), np.intp)
+    for each in range(len(keypoints)):  # one view at a time: of all at once the cosines take 100 MB
+        own = there[view[there] == each]
+        candidates = LocalFeatures(everything.positions[own], everything.descriptors[own])
+        seen_in += _same(sought, candidates).any(axis=1)
     often = np.flatnonzero(seen_in >= OFTEN * len(keypoints))
     found = LocalFeatures(sought.positions[often], sought.descriptors[often])
     same = _same(found, found)
