@@ -54,7 +54,8 @@ class Calls(Protocol):
 
 
 DRAWN_AT_ONCE = 2
-"""Photos that are drawn on at once: one while the network finds what to draw on the next."""
+"""Photos that are drawn on or compared at once: one while the network finds what to draw on the next. As many
+explanations are drawn, which need no network and wait for none of them."""
 
 READ_AT_ONCE = 2
 """Images that are read at once: each is in memory three times over, and what is read is written before more is."""
@@ -74,7 +75,8 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self._services, self._calls = services, calls
         self._long = LongWork()
         self._writes = LongWork(None, "revisit-writes")
-        self._drawings = asyncio.Semaphore(DRAWN_AT_ONCE)
+        self._drawings = LongWork(DRAWN_AT_ONCE, "revisit-drawings")
+        self._explanations = LongWork(DRAWN_AT_ONCE, "revisit-explanations")
         self._images = asyncio.Semaphore(READ_AT_ONCE)
 
     # views
@@ -148,9 +150,8 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def segmentation(self, view_id: str, overlay: bool, legend: bool) -> bytes:
         """The segmentation of a view as an indexed PNG, or blended over the photo, with or without a key."""
-        return await self._drawn(
-            partial(self._services.renderings.segmentation, overlay=overlay, legend=legend), view_id
-        )
+        segmentation = partial(self._services.renderings.segmentation, overlay=overlay, legend=legend)
+        return await self._drawings.run(segmentation, view_id)
 
     def segmented_by(self) -> str:
         """The network whose labels a segmentation shows."""
@@ -158,12 +159,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def graph(self, view_id: str, legend: bool) -> bytes:
         """The context graph, drawn over the photo, with or without a key."""
-        return await self._drawn(partial(self._services.renderings.graph, legend=legend), view_id)
-
-    async def _drawn(self, draw: Callable[[str], bytes], view_id: str) -> bytes:
-        """A drawing; while it waits for others, it keeps no thread from other long work and holds no photo."""
-        async with self._drawings:
-            return await self._long.run(draw, view_id)
+        return await self._drawings.run(partial(self._services.renderings.graph, legend=legend), view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """An ETag that changes whenever the image does; `kind` names the image and its options."""
@@ -171,7 +167,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
         """A PNG of what decided about a match."""
-        return await asyncio.to_thread(self._services.renderings.explanation, query_id, view_id)
+        return await self._explanations.run(self._services.renderings.explanation, query_id, view_id)
 
     async def maps_of_query(self, query_id: str) -> tuple[str, ...]:
         """The maps of an explained query; raises NotFound."""

@@ -8,7 +8,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from app.http.curate import Curator
+from app.http.curate import DRAWN_AT_ONCE, Curator
 from app.http.recognise import Recogniser
 from schemas import wire
 from schemas.records import ViewAttributes
@@ -53,27 +53,39 @@ def test_an_image_is_shown_while_many_wait_for_what_takes_long(
     assert getattr(getattr(parts, part), method).call_count == MANY
 
 
-@pytest.mark.parametrize(
-    "draw", [lambda curator: curator.graph("view", False), lambda c: c.segmentation("view", True, False)]
-)
-def test_other_long_work_is_done_while_many_wait_for_drawings(draw: Callable[[Curator], Awaitable[object]]) -> None:
-    """Those that wait for their turn hold none of the threads in which long work is done."""
+DRAWINGS = [
+    ("renderings", "graph", lambda curator: curator.graph("view", False)),
+    ("renderings", "segmentation", lambda curator: curator.segmentation("view", True, False)),
+    ("renderings", "explanation", lambda curator: curator.explanation("query", None)),
+    ("changes", "between", lambda curator: curator.changes("one", "other")),
+    ("changes", "draw_between", lambda curator: curator.draw_changes("one", "other")),
+    ("changes", "of_query", lambda curator: curator.changes_of_query("query")),
+    ("changes", "draw_query", lambda curator: curator.draw_changes_of_query("query")),
+]
+
+
+@pytest.mark.parametrize(("part", "method", "draw"), DRAWINGS)
+def test_other_long_work_is_done_while_many_wait_for_drawings(
+    part: str, method: str, draw: Callable[[Curator], Awaitable[object]]
+) -> None:
+    """Those that wait for their turn hold none of the threads in which long work is done, and no photos."""
     ends = threading.Event()
     parts = Mock()
-    parts.renderings.graph.side_effect = parts.renderings.segmentation.side_effect = lambda *_, **__: ends.wait(30)
+    drawn = getattr(getattr(parts, part), method)
+    drawn.side_effect = lambda *_, **__: ends.wait(30)
     curator = Curator(parts, parts.calls)
 
-    async def meanwhile() -> object:
+    async def meanwhile() -> tuple[object, int]:
         waiting = [asyncio.ensure_future(draw(curator)) for _ in range(MANY)]
-        await asyncio.sleep(0)
+        await asyncio.sleep(0.05)
         try:
-            return await asyncio.wait_for(curator._long.run(lambda: "done"), 10)
+            return await asyncio.wait_for(curator._long.run(lambda: "done"), 10), drawn.call_count
         finally:
             ends.set()
-            await asyncio.gather(*waiting)
+            await asyncio.gather(*waiting, return_exceptions=True)
 
-    assert asyncio.run(meanwhile()) == "done"
-    assert parts.renderings.graph.call_count + parts.renderings.segmentation.call_count == MANY
+    assert asyncio.run(meanwhile()) == ("done", DRAWN_AT_ONCE)
+    assert drawn.call_count == MANY
 
 
 def test_a_list_is_given_while_many_enrolments_wait_for_the_store() -> None:
