@@ -49,16 +49,19 @@ def add(verbs: Verbs) -> None:
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Examine everything and print a report; returns 1 when something is wrong."""
+    from worker.encoders.cores import usable_cores
+
     settings = settings_of(arguments, "data")
     if arguments.repair:
         return _repair(settings, as_json=arguments.json)
+    cores = usable_cores()
     findings: list[str] = []
     report: dict[str, Any] = {
         "versions": versions(),
         "machine": {
             "system": platform.platform(),
-            "cores": os.cpu_count(),
-            "threads": settings.threads or os.cpu_count(),
+            "cores": cores,
+            "threads": settings.threads or cores,
             "torch": torch_flavour(),
         },
         "limits": {

@@ -1,7 +1,6 @@
 """``revisit encode``: an encoder that several nodes share."""
 
 import argparse
-import os
 import socket
 from typing import TYPE_CHECKING
 
@@ -35,7 +34,7 @@ def add(verbs: Verbs) -> None:
     )
     encode.add_argument("--encoder", choices=("compact", "compact-open"), help="network (default: compact)")
     encode.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
-    encode.add_argument("--threads", type=integer, help="threads of the network (default: one per core)")
+    encode.add_argument("--threads", type=integer, help="threads of the network (default: one for each core that may be used)")
     encode.set_defaults(run=run_encode)
 
 
@@ -63,9 +62,10 @@ def _encode(settings: "Settings", listening: socket.socket) -> int:
     from app.http.encoding import encoder_application
     from worker.configure import configure
     from worker.encoders.choosing import batch_of, make_encoder_to_share
+    from worker.encoders.cores import usable_cores
     from worker.service.encoding import EncodingService
 
-    threads = settings.threads or os.cpu_count() or 1
+    threads = settings.threads or usable_cores()
     configure(threads)
     encoder, segmenter = make_encoder_to_share(settings, threads)
     app = encoder_application(

@@ -1,9 +1,9 @@
 """``./revisit benchmark memory``: the most memory that a service takes under loads of several kinds.
 
-Each load meets a service of its own, with the built-in encoder and whatever ``REVISIT_*`` variables say, so that bounds
-can be tried before a container is given them. Callers go on without a pause, in this process; what they were answered
-is counted, since a service that refuses takes little. Peaks are resident memory (VmHWM): of the service, and of its
-decoders, which are processes of their own, together.
+Each load meets a service of its own on an empty folder. The settings that memory depends on are taken from the
+environment (those of `TRIED`), so that bounds can be tried before a container is given them. Callers go on without a
+pause, in this process; what they were answered is counted, since a service that refuses takes little. Peaks are
+resident memory (VmHWM): of the service, and of its decoders, which are processes of their own, together.
 """
 
 import argparse
@@ -29,6 +29,21 @@ from lab.benchmarks.sharing import JPEG
 from lab.faults.images import peak_memory_mb
 from lab.faults.process import Running, client, settings
 from scenes.scene import scene
+
+TRIED = {
+    "REVISIT_ENCODER": "compact",
+    "REVISIT_THREADS": "0",
+    "REVISIT_BATCH": "0",
+    "REVISIT_BODIES_MB": "256",
+    "REVISIT_PIXELS_MB": "256",
+    "REVISIT_MAX_BODY_MB": "25",
+    "REVISIT_DECODERS": "2",
+    "REVISIT_QUERIES": "32",
+    "REVISIT_QUEUE": "1000",
+    "REVISIT_CONNECTIONS": "512",
+    "REVISIT_EXPLANATIONS": "200",
+}
+"""Settings that the environment may change, and what they are otherwise."""
 
 PHOTOS = 6
 """Images that callers take turns with; bytes after its end make each one sent another file."""
@@ -173,21 +188,20 @@ def read_slowly(url: str, view: str, until: float, answers: Counter[str]) -> Non
             answers[type(error).__name__] += 1
 
 
-def callers(load: Load, url: str, until: float, answers: Counter[str]) -> list[Callable[[], None]]:
-    """What each caller does."""
+def callers(load: Load, url: str, seconds: float, answers: Counter[str]) -> list[Callable[[], None]]:
+    """What each caller does, for so many seconds from now on, once what it sends is drawn and a view is enrolled."""
+    if load.kind == "idle":
+        return [partial(time.sleep, seconds)]
     if load.kind == "stopped":
-        return [partial(stop_amid, url, until, answers)] * load.callers
-    if load.kind == "slow":
-        with client(url) as calls:
+        return [partial(stop_amid, url, time.monotonic() + seconds, answers)] * load.callers
+    with client(url) as calls:
+        if load.kind == "slow":
             sent = {"content-type": "image/png"}
             view = calls.post("/enroll", content=noise(load.megapixels), headers=sent).raise_for_status().json()["view"]
-        return [partial(read_slowly, url, view["id"], until, answers)] * load.callers
-    if load.kind == "idle":
-        return [partial(time.sleep, max(0.0, until - time.monotonic()))]
-    images = photos(load.megapixels)
-    with client(url) as calls:
+            return [partial(read_slowly, url, view["id"], time.monotonic() + seconds, answers)] * load.callers
+        images = photos(load.megapixels)
         enrol(calls, 0, images[0]).raise_for_status()
-    call = WITHOUT_PAUSE[load.kind]
+    call, until = WITHOUT_PAUSE[load.kind], time.monotonic() + seconds
     return [partial(go_on, call, url, caller, images, until, answers) for caller in range(load.callers)]
 
 
@@ -206,7 +220,7 @@ def measured(load: Load, seconds: float, further: Mapping[str, str]) -> tuple[fl
         Running("serve", settings(Path(folder), further), warm=False) as service,
     ):
         service.await_ready()
-        works = callers(load, service.url, time.monotonic() + seconds, answers)
+        works = callers(load, service.url, seconds, answers)
         decoders: dict[int, float] = {}
         with ThreadPoolExecutor(len(works)) as threads:
             under_way = {threads.submit(work) for work in works}
@@ -228,9 +242,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--megapixels", type=float, help="of each photo that is sent (default: by load)")
     parser.add_argument("--seconds", type=float, default=15.0, help="of each load (default: 15)")
     given = parser.parse_args(arguments)
-    further = {"REVISIT_ENCODER": "compact", "REVISIT_THREADS": "0"}
-    further |= {name: value for name, value in os.environ.items() if name.startswith("REVISIT_")}
-    print(f"{datetime.now(UTC):%Y-%m-%d}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    further = {name: os.environ.get(name, usual) for name, usual in TRIED.items()}
+    changed = "".join(f", {name}={value}" for name, value in further.items() if value != TRIED[name])
+    print(f"{datetime.now(UTC):%Y-%m-%d}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}{changed}")
     print(f"{'callers':>8}  {'kind':12}{'megapixels':>10}{'service':>12}{'decoders':>12}  answers")
     loads = dict.fromkeys(
         Load(

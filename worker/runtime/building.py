@@ -1,6 +1,5 @@
 """Builds a service from its settings, and starts and stops it as a whole."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from worker.description.map_training import VocabularyTrainer
 from worker.description.presets import Wanted, make_recipe
 from worker.description.scheduler import Scheduler
 from worker.encoders.choosing import batch_of, make_encoder
+from worker.encoders.cores import usable_cores
 from worker.images import quality
 from worker.loop import Loop
 from worker.method.calibration import Calibration
@@ -115,7 +115,7 @@ def build(
         The data folder is in use, the database is newer than this program, the images are of another database, or
         the encoder cannot be loaded.
     """
-    threads = settings.threads or os.cpu_count() or 1
+    threads = settings.threads or usable_cores()
     configure(threads)
     settings.data.mkdir(parents=True, exist_ok=True)
     unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
