@@ -34,7 +34,7 @@ def add(verbs: Verbs) -> None:
     )
     encode.add_argument("--encoder", choices=("compact", "compact-open"), help="network (default: compact)")
     encode.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
-    encode.add_argument("--threads", type=integer, help="threads of the network (default: one for each core that may be used)")
+    encode.add_argument("--threads", type=integer, help="of the network (default: one for each core that may be used)")
     encode.set_defaults(run=run_encode)
 
 

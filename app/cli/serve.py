@@ -58,7 +58,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     encoders = ("compact", "compact-open", "color", "lseg")
     parser.add_argument("--encoder", choices=encoders, help="network that describes images (default: compact)")
     parser.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
-    parser.add_argument("--threads", type=integer, help="threads of the network (default: one for each core that may be used)")
+    parser.add_argument("--threads", type=integer, help="of the network (default: one for each core that may be used)")
 
 
 def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":

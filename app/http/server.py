@@ -10,6 +10,7 @@ import socket
 import struct
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from types import FrameType
 
 import uvicorn
@@ -17,6 +18,7 @@ from starlette.types import ASGIApp
 
 from app.http.connection import protocol_with
 from app.http.limits import IDLE_S, ConnectionLimits
+from app.http.open_files import LoopTrouble, connections_allowed
 from schemas.settings import Settings
 
 log = logging.getLogger("revisit")
@@ -36,9 +38,10 @@ _SO_ATTACH_FILTER = 26
 
 def configured(app: ASGIApp, settings: Settings) -> uvicorn.Config:
     """uvicorn's configuration: HTTP/1.1 by h11, without WebSockets, within the limits of the settings."""
+    limits = ConnectionLimits.of(settings)
     return uvicorn.Config(
         app,
-        http=protocol_with(ConnectionLimits.of(settings)),
+        http=protocol_with(replace(limits, connections=connections_allowed(limits.connections))),
         ws="none",
         log_config=None,
         access_log=False,  # app.http.middleware writes the access log
@@ -72,6 +75,7 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start the application, open the port and say so."""
+        asyncio.get_running_loop().set_exception_handler(LoopTrouble())
         await super().startup(sockets=sockets)
         if self.started:
             self._announce()
