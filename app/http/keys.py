@@ -3,7 +3,6 @@
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated, Protocol
@@ -16,6 +15,7 @@ from app.http.notes import note
 from app.http.rate_limits import Buckets, client_of
 from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS, Demand, demand
+from app.http.threads import Threads
 from schemas.errors import Busy, Forbidden, RevisitError, Unauthorized, Unavailable
 from schemas.keys import ANONYMOUS, UNRESTRICTED, Access
 from worker.service.keys import KeyRing
@@ -79,8 +79,8 @@ class KeyGate:
         self._app, self._keys = app, keys
         # A thread of its own: keys are asked for while all others are busy. Another one writes, which may take a minute
         # while somebody else does: no request waits for it.
-        self._thread = ThreadPoolExecutor(1, "revisit-keys")
-        self._notes = ThreadPoolExecutor(1, "revisit-key-use")
+        self._thread = Threads(1, "revisit-keys")
+        self._notes = Threads(1, "revisit-key-use")
         self._noting: set[str | None] = set()
         self._reading: asyncio.Task[KeyRing] | None = None
         self._failures = Buckets()

@@ -3,7 +3,6 @@
 import asyncio
 import platform
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from app.http.readiness import ReadinessCheck
 from app.http.statistics import StatisticsReader
+from app.http.threads import Threads
 from app.version import VERSION
 from schemas import wire
 from schemas.statistics import LiveStatistics, ServiceStatistics
@@ -39,7 +39,7 @@ class Lifecycle:
         self._draining = False
         self._on_drain: list[Callable[[], None]] = []
         # A thread of its own: the probes must be answered while all other threads are busy.
-        self._thread = ThreadPoolExecutor(1, "revisit-lifecycle")
+        self._thread = Threads(1, "revisit-lifecycle")
         gather = StatisticsService(
             store=lambda: runtime.store.statistics(datetime.now(UTC), SAMPLE),
             indexes=runtime.catalogue,

@@ -6,10 +6,11 @@ enrolments whose image store hangs, or that wait for others to write to the data
 
 import asyncio
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from functools import partial
 from typing import ParamSpec, TypeVar
+
+from app.http.threads import Threads
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -30,7 +31,7 @@ class LongWork:
     """
 
     def __init__(self, at_once: int | None = AT_ONCE, name: str = "revisit-long-work") -> None:
-        self._threads = ThreadPoolExecutor(at_once, name)
+        self._threads = Threads(at_once, name)
 
     async def run(self, call: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """The result of a function that runs in one of the threads; as `asyncio.to_thread`."""

@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect
 
 from app.http.notes import note_problem, noted_path
 from app.http.scopes import methods_of
+from app.http.threads import NO_MORE_THREADS, is_shortage
 from app.http.validation import in_words
 from schemas.errors import (
     MOST_MISTAKES,
@@ -26,6 +27,7 @@ from schemas.errors import (
     RevisitError,
     SetupError,
     Unauthorized,
+    Unavailable,
     echoed,
 )
 from schemas.wire import Problem, ProblemParameter
@@ -149,6 +151,8 @@ def own_members(shape: type[Problem], detail: str) -> dict[str, str]:
 
 _OF_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
 
+THREADS_RETRY_S = 5
+
 _INTERNAL_DETAIL = "something went wrong inside the service; its log has the reason under this request id"
 
 
@@ -204,7 +208,10 @@ def problem_of(error: RevisitError, request_id: str) -> Response:
 
 
 def internal(error: BaseException, request_id: str) -> Response:
-    """The answer 500: the log gets the traceback, the client the request id."""
+    """The answer 500: the log gets the traceback, the client the request id. 503 where no thread could be started."""
+    if is_shortage(error):
+        logger.error(NO_MORE_THREADS, extra={"event": "no_more_threads", "request_id": request_id})
+        return problem_of(Unavailable(NO_MORE_THREADS, THREADS_RETRY_S), request_id)
     logger.error(
         "request failed",
         exc_info=(type(error), error, error.__traceback__),

@@ -6,11 +6,12 @@ somebody asks; whoever asks meanwhile gets the last result with its age.
 
 import asyncio
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from app.http.threads import Threads
 from schemas import wire
 from schemas.errors import Busy, EncoderAway, RevisitError
 from schemas.image import Image
@@ -51,7 +52,7 @@ class ReadinessCheck:
 
     def __init__(self, runtime: "Runtime") -> None:
         self._runtime = runtime
-        self._thread = ThreadPoolExecutor(1, "revisit-readiness")
+        self._thread = Threads(1, "revisit-readiness")
         self._last: tuple[float, wire.Readiness] | None = None
         self._running: Future[wire.Readiness] | None = None
         self._began = 0.0

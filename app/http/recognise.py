@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import TypeVar
 
 from app.http import enrolment_presenters, query_presenters
 from app.http.long_work import LongWork
+from app.http.threads import Threads
 from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError, StorageFailed
@@ -55,7 +55,7 @@ class Recogniser:
     ) -> None:
         self._enroll, self._query = enroll, query
         self._settlements, self._wait_s, self._tell = settlements, wait_s, tell
-        self._threads = ThreadPoolExecutor(queries + SEARCHING, "revisit-query")
+        self._threads = Threads(queries + SEARCHING, "revisit-query")
         self._storing = LongWork(None, "revisit-enroll")
 
     def drain(self) -> None:

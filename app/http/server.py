@@ -19,6 +19,7 @@ from starlette.types import ASGIApp
 from app.http.connection import protocol_with
 from app.http.limits import IDLE_S, ConnectionLimits
 from app.http.open_files import LoopTrouble, connections_allowed
+from app.http.threads import Threads
 from schemas.settings import Settings
 
 log = logging.getLogger("revisit")
@@ -75,7 +76,9 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start the application, open the port and say so."""
-        asyncio.get_running_loop().set_exception_handler(LoopTrouble())
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(LoopTrouble())
+        loop.set_default_executor(Threads(None, "revisit-calls"))
         await super().startup(sockets=sockets)
         if self.started:
             self._announce()

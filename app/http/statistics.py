@@ -4,11 +4,12 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from app.http.threads import Threads
 from schemas.settings import Settings
 from schemas.statistics import LiveStatistics, MapStatistics, ServiceStatistics
 from schemas.wire import Version
@@ -42,7 +43,7 @@ class StatisticsReader:
 
     def __init__(self, gather: Callable[[], ServiceStatistics]) -> None:
         self._gather = gather
-        self._thread = ThreadPoolExecutor(1, "revisit-statistics")
+        self._thread = Threads(1, "revisit-statistics")
         self._running: Future[ServiceStatistics | None] | None = None
         self._last: ServiceStatistics | None = None
         self._gathered_at: float | None = None
