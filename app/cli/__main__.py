@@ -149,8 +149,8 @@ def _foreseen(error: Exception) -> str | None:
         return f"the package {error.name} is not installed; `./revisit set-up` installs what is needed"
     from revisit_client import ClientError
 
-    from app.http.threads import NO_MORE_THREADS, is_shortage
     from schemas.errors import RevisitError
+    from schemas.threads import NO_MORE_THREADS, is_shortage
 
     if is_shortage(error):
         return NO_MORE_THREADS

@@ -15,9 +15,9 @@ from app.http.notes import note
 from app.http.rate_limits import Buckets, client_of
 from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS, Demand, demand
-from app.http.threads import Threads
 from schemas.errors import Busy, Forbidden, RevisitError, Unauthorized, Unavailable
 from schemas.keys import ANONYMOUS, UNRESTRICTED, Access
+from schemas.threads import Threads
 from worker.service.keys import KeyRing
 
 logger = logging.getLogger("revisit.http")

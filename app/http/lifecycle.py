@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 from app.http.readiness import ReadinessCheck
 from app.http.statistics import StatisticsReader
-from app.http.threads import Threads
 from app.version import VERSION
 from schemas import wire
 from schemas.statistics import LiveStatistics, ServiceStatistics
+from schemas.threads import Threads
 from worker.service.comparing import SAMPLE
 from worker.service.statistics import StatisticsService
 

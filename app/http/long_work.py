@@ -10,7 +10,7 @@ from contextvars import copy_context
 from functools import partial
 from typing import ParamSpec, TypeVar
 
-from app.http.threads import Threads
+from schemas.threads import Threads
 
 P = ParamSpec("P")
 R = TypeVar("R")

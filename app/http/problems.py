@@ -13,7 +13,6 @@ from starlette.requests import ClientDisconnect
 
 from app.http.notes import note_problem, noted_path
 from app.http.scopes import methods_of
-from app.http.threads import NO_MORE_THREADS, is_shortage
 from app.http.validation import in_words
 from schemas.errors import (
     MOST_MISTAKES,
@@ -30,6 +29,7 @@ from schemas.errors import (
     Unavailable,
     echoed,
 )
+from schemas.threads import NO_MORE_THREADS, is_shortage
 from schemas.wire import Problem, ProblemParameter
 
 logger = logging.getLogger("revisit.http")

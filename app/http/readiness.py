@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.http.threads import Threads
 from schemas import wire
 from schemas.errors import Busy, EncoderAway, RevisitError
 from schemas.image import Image
+from schemas.threads import Threads
 
 if TYPE_CHECKING:
     from worker.runtime import Runtime
@@ -102,6 +102,7 @@ class ReadinessCheck:
         needed = {
             "database": store.check(),
             "disk": self._disk(),
+            "decoder": self._runtime.decoder.check(),
             "encoder": self._encoder(),
             "worker": self._worker(),
         }

@@ -11,11 +11,11 @@ from typing import TypeVar
 
 from app.http import enrolment_presenters, query_presenters
 from app.http.long_work import LongWork
-from app.http.threads import Threads
 from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError, StorageFailed
 from schemas.records import ViewAttributes
+from schemas.threads import Threads
 from worker.service.caller import Caller
 from worker.service.enroll import Accepted, EnrollService
 from worker.service.query import QueryService

@@ -19,8 +19,8 @@ from starlette.types import ASGIApp
 from app.http.connection import protocol_with
 from app.http.limits import IDLE_S, ConnectionLimits
 from app.http.open_files import LoopTrouble, connections_allowed
-from app.http.threads import Threads
 from schemas.settings import Settings
+from schemas.threads import Threads
 
 log = logging.getLogger("revisit")
 

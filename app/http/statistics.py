@@ -9,9 +9,9 @@ from concurrent.futures import Future
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from app.http.threads import Threads
 from schemas.settings import Settings
 from schemas.statistics import LiveStatistics, MapStatistics, ServiceStatistics
+from schemas.threads import Threads
 from schemas.wire import Version
 
 logger = logging.getLogger("revisit.http")

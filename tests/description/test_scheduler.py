@@ -3,8 +3,9 @@
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from typing import Any
 
 import pytest
 
@@ -133,6 +134,35 @@ def test_one_failing_image_does_not_take_its_batch_down() -> None:
     with pytest.raises(RuntimeError, match="kills"):
         futures[1].result(PATIENCE_S)
     assert futures[2].result(PATIENCE_S).value == 3
+    scheduler.stop()
+
+
+@pytest.mark.parametrize("parallel", [None, lambda _: ()], ids=["to finish it", "beside the encoder"])
+def test_what_cannot_be_handed_on_fails_alone_and_the_encoders_thread_goes_on(
+    parallel: Callable[[Image], object] | None,
+) -> None:
+    """As where the system has no memory for a moment: nobody waits for ever, and stopping ends."""
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    hand_on, short = scheduler._describing.submit, [MemoryError()]
+
+    def submit(*given: Any) -> "Future[Any]":
+        if short:
+            raise short.pop()
+        return hand_on(*given)
+
+    scheduler._describing.submit = submit  # type: ignore[method-assign,assignment]
+    scheduler.start()
+
+    def finish(shown: Image, field: PixelField, *made: object) -> int:
+        return number_of(shown, field)
+
+    first = scheduler.submit(image(1), finish, urgent=False, parallel=parallel)
+    with pytest.raises(MemoryError):
+        first.result(PATIENCE_S)
+    assert scheduler.submit(image(2), finish, urgent=False, parallel=parallel).result(PATIENCE_S).value == 2
+    assert scheduler.alive
     scheduler.stop()
 
 

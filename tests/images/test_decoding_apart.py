@@ -202,6 +202,28 @@ def test_more_images_than_decoders_wait_and_then_are_told_to_come_back() -> None
         pool.decode(photo())
 
 
+def test_a_check_starts_what_has_ended_and_says_why_nothing_can_be_started(
+    pool: DecoderPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert pool.check() == "ok"
+    for process in pool.processes:
+        process.kill()
+    assert pool.check() == "ok"
+
+    def refuse(*_: object, **__: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    for process in pool.processes:
+        process.kill()
+    monkeypatch.setattr(process_module, "launched", refuse)
+    assert "no process for decoding can be started" in pool.check()
+    with pytest.raises(Unavailable):
+        pool.decode(photo())
+    monkeypatch.undo()
+    assert pool.check() == "ok"
+    assert pool.decode(photo()).pixels.size
+
+
 def test_decoders_end_with_a_service_that_is_killed() -> None:
     program = (
         "import sys, time\n"

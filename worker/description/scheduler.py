@@ -5,7 +5,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from itertools import count, groupby
 from typing import Any, Generic, TypeVar
@@ -13,6 +13,7 @@ from typing import Any, Generic, TypeVar
 from schemas.description import PixelField
 from schemas.errors import Busy, EncoderAway, Unavailable
 from schemas.image import Image
+from schemas.threads import Threads
 from worker.description.ports import Encoder, Segmenter
 from worker.description.priority import step_aside
 from worker.description.turns import CLOSE, ENROLMENT, QUERY, Turns, Waiting
@@ -102,8 +103,8 @@ class Scheduler:
         self._segmenter_away = False
         self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
-        self._describing = ThreadPoolExecutor(1, "revisit-describing", initializer=step_aside)
-        self._parallel_queries = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-parallel-queries")
+        self._describing = Threads(1, "revisit-describing", step_aside)
+        self._parallel_queries = Threads(1, "revisit-parallel-queries")
 
     @property
     def pace_s(self) -> float:
@@ -279,17 +280,16 @@ class Scheduler:
     def _serve(self, batch: list[_Request]) -> None:
         began = time.perf_counter()
         timed = 0
-        for request in batch:
-            if request.parallel is not None and request.made is None:
-                thread = self._parallel_queries if request.urgency == QUERY else self._describing
-                request.made = thread.submit(request.context.copy().run, request.parallel, request.image)
         try:
+            for request in batch:
+                if request.parallel is not None and request.made is None:
+                    thread = self._parallel_queries if request.urgency == QUERY else self._describing
+                    request.made = thread.submit(request.context.copy().run, request.parallel, request.image)
             fields = self._fields(batch)
             for request in batch:
                 encoding = time.perf_counter()
                 pixel_field = next(fields)
                 encoded = time.perf_counter()
-                timed += 1
                 self._encoded += 1
                 if not self._encodes(request):
                     self._segmenter_away = False
@@ -300,6 +300,7 @@ class Scheduler:
                     _finish(request, pixel_field, waited_ms, encode_ms)
                 else:
                     self._describing.submit(_finish, request, pixel_field, waited_ms, encode_ms)
+                timed += 1
         except EncoderAway as error:
             self._put_off(batch[timed:], error)
             return

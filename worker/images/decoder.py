@@ -20,6 +20,10 @@ class Decoder(Protocol):
         """Get ready ahead of the first image."""
         ...
 
+    def check(self) -> str:
+        """``ok``, or why no image can be decoded now."""
+        ...
+
     def decode(self, data: bytes) -> Image:
         """An image upright, RGB, eight bits; raises BadImage, BodyTooLarge, Busy, Unavailable."""
         ...
@@ -56,6 +60,10 @@ class InProcessDecoder:
 
     def start(self) -> None:
         """Nothing to do."""
+
+    def check(self) -> str:
+        """Always ``ok``."""
+        return "ok"
 
     def decode(self, data: bytes) -> Image:
         """As `codec.decode`."""

@@ -6,7 +6,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from typing import TypeVar
 
@@ -15,6 +14,7 @@ import numpy as np
 from schemas.errors import BadImage, BodyTooLarge, Busy, RevisitError, Unavailable
 from schemas.image import Image
 from schemas.settings import Settings
+from schemas.threads import Threads
 from worker.images.apart.buffers import Buffers
 from worker.images.apart.process import DecoderProcess, Died, Hung
 from worker.images.apart.protocol import DECODE, READ_EXIF, THUMBNAIL
@@ -51,7 +51,7 @@ class DecoderPool:
 
     def __init__(self, count: int, limits: Limits, deadline_s: float) -> None:
         self._limits, self._deadline_s = limits, deadline_s
-        launching = ThreadPoolExecutor(1, "revisit-decoders")
+        launching = Threads(1, "revisit-decoders")
         self.processes = [DecoderProcess(limits, deadline_s, launching) for _ in range(count)]
         # The latest one used first: its memory is warm, and one that is never needed is never touched.
         self._free: queue.LifoQueue[DecoderProcess] = queue.LifoQueue()
@@ -69,6 +69,20 @@ class DecoderPool:
         """Start all processes, without waiting for them."""
         for process in self.processes:
             process.start()
+
+    def check(self) -> str:
+        """``ok``, or why no process can be started; one that has ended is started for it."""
+        try:
+            process = self._free.get_nowait()
+        except queue.Empty:
+            return "ok"  # all are at work
+        try:
+            process.make_ready()
+        except Unavailable as error:
+            return error.detail
+        finally:
+            self._free.put(process)
+        return "ok"
 
     def decode(self, data: bytes) -> Image:
         """An image; raises BadImage, BodyTooLarge, Busy, Unavailable."""

@@ -91,7 +91,7 @@ class DecoderProcess:
         ------
         Died, Hung, Unavailable
         """
-        self._make_ready()
+        self.make_ready()
         assert self._connection is not None  # for the type checker: `start` made all of them
         assert self._source is not None
         assert self._target is not None
@@ -137,7 +137,7 @@ class DecoderProcess:
             return f"its process was ended by {signal.Signals(-code).name}"
         return f"its process ended with code {code}"
 
-    def _make_ready(self) -> None:
+    def make_ready(self) -> None:
         """Start it and wait for it, again when it ends meanwhile; raises Unavailable."""
         how = ""
         for _ in range(STARTS):

@@ -7,7 +7,7 @@ import pytest
 
 from app.cli.__main__ import main
 from app.http.problems import internal
-from app.http.threads import NO_MORE_THREADS, Threads
+from schemas.threads import NO_MORE_THREADS, Threads
 
 
 @pytest.fixture

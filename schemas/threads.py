@@ -1,5 +1,6 @@
 """Threads that answer, also where the system lets the process start no more of them."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 NO_MORE_THREADS = (
@@ -20,6 +21,8 @@ class Threads(ThreadPoolExecutor):
         Of threads; None: as many as asyncio's own pool has.
     name : str
         Of the threads.
+    initializer : function, optional
+        What each thread does first.
 
     Raises
     ------
@@ -27,8 +30,8 @@ class Threads(ThreadPoolExecutor):
         There is not even one.
     """
 
-    def __init__(self, most: int | None, name: str) -> None:
-        super().__init__(most, name)
+    def __init__(self, most: int | None, name: str, initializer: Callable[[], object] | None = None) -> None:
+        super().__init__(most, name, initializer)
         self.submit(lambda: None)
 
     def _adjust_thread_count(self) -> None:
