@@ -106,8 +106,13 @@ class Server(uvicorn.Server):
             for task in late:
                 task.cancel()
             await asyncio.wait(late, timeout=LAST_ANSWERS_S)
-        await super().shutdown(sockets)
-        if self.force_exit:
+        ending = asyncio.ensure_future(super().shutdown(sockets))
+        while not ending.done() and not self.force_exit:
+            await asyncio.wait({ending}, timeout=0.1)
+        if not self.force_exit:
+            await ending
+        else:
+            await asyncio.wait({ending}, timeout=STAY_S)  # it waits for nobody now, or for work that may hang
             log.warning("stopped at once by a second %s", signal.Signals(self._captured_signals[-1]).name)
             # Threads at work would delay a regular end; what was acknowledged is on disk.
             logging.shutdown()

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
+import psutil
 
 from tests.sample_images import drawn, encoded
 from tests.stories.raw import answers, connect, read_all, read_one
@@ -179,3 +180,23 @@ def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
             assert time.monotonic() - begin < 5
             (answer,) = answers(read_all(held))
             assert answer.problem() == "unavailable"
+
+
+def test_a_second_signal_stops_at_once_while_the_service_waits_for_work_that_hangs(tmp_path: Path) -> None:
+    """No request is left by then: it waits for its decoder, in which an image hangs."""
+    patient = {"REVISIT_GRACE_S": "0.5", "REVISIT_DECODE_S": "90"}
+    with RunningService(tmp_path, **patient) as service, connect(service) as held:
+        httpx.post(f"{service.url}/enroll", content=image(0), headers=JPEG, timeout=60).raise_for_status()
+        (decoder,) = psutil.Process(service.pid).children()
+        decoder.suspend()
+        held.sendall(begin_query(held))
+        service.signal(signal.SIGTERM)
+        (answer,) = answers(read_all(held))
+        assert answer.problem() == "unavailable"
+        time.sleep(0.5)
+        begin = time.monotonic()
+        service.signal(signal.SIGTERM)
+        assert service.wait(20) == 1
+        assert time.monotonic() - begin < 5
+        decoder.resume()
+        decoder.wait(10)
