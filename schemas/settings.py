@@ -90,9 +90,7 @@ class Settings(BaseSettings):
     )
     device: str = Field("cpu", description="Device of the network: cpu, cuda, cuda:1, ...")
     preset: str = Field("default", description="Preset of maps made without one: default, paper or code-words.")
-    threads: int = Field(
-        0, ge=0, le=256, description="Threads of the network; 0 takes one for each usable core."
-    )
+    threads: int = Field(0, ge=0, le=256, description="Threads of the network; 0 takes one for each usable core.")
     batch: int = Field(0, ge=0, le=256, description="Images encoded together; 0: 1 on a CPU, 8 on a GPU.")
     inline_worker: bool = Field(True, description="Describe enrolled images inside `serve`.")
     compare: bool = Field(True, description="Compare the views of each map with one another in the background.")
