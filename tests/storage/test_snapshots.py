@@ -100,6 +100,21 @@ def test_any_tar_program_can_look_into_it(store: SqlStore) -> None:
     assert sum(name.startswith("images/") for name in listed) == 5
 
 
+def test_it_is_made_and_restored_where_nothing_but_the_data_folder_can_be_written(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a container whose root is read-only and that has no /tmp."""
+
+    def none() -> NoReturn:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile._get_default_tempdir", none)
+    monkeypatch.setattr("tempfile.tempdir", None)
+    filled(store)
+    elsewhere.restoring.restore(made(store), None, NOW)
+    assert contents(elsewhere) == contents(store)
+
+
 def test_a_system_that_writes_a_part_of_what_it_is_given_gets_the_rest(
     store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -88,7 +88,7 @@ class SnapshotWriter:
     def __init__(self, file: UncachedFile, facts: SnapshotFacts) -> None:
         self._file = file
         self._thread = OneThread("snapshot", MOST_WAITING)
-        self._lines = TemporaryFile()  # noqa: SIM115
+        self._lines = TemporaryFile(dir=file.folder)  # noqa: SIM115 (a container may have no /tmp)
         self._numbers: dict[str, int] = {}
         self._facts_size = len(_as_bytes(facts)) + _SLACK
         self.image_bytes = self.row_bytes = 0

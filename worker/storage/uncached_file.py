@@ -32,6 +32,7 @@ class UncachedFile:
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self.folder = path.parent
         self._handle = os.open(path, flags, 0o666)
         self._uncached = _set_uncached(self._handle, True)
         self._buffer = memoryview(mmap.mmap(-1, SIZE))  # begins with a page
