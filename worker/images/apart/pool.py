@@ -71,13 +71,14 @@ class DecoderPool:
             process.start()
 
     def check(self) -> str:
-        """``ok``, or why no process can be started; one that has ended is started for it."""
+        """``ok``, or why no process can be started; one that has ended is started for it, and waited for."""
         try:
             process = self._free.get_nowait()
         except queue.Empty:
             return "ok"  # all are at work
         try:
-            process.make_ready()
+            if not process.runs:
+                process.make_ready()
         except Unavailable as error:
             return error.detail
         finally:

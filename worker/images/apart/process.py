@@ -58,9 +58,14 @@ class DecoderProcess:
         """Process id; None before it is started."""
         return None if self._process is None else self._process.pid
 
+    @property
+    def runs(self) -> bool:
+        """Whether it was started and has not ended; it may not be ready yet."""
+        return self._process is not None and self._process.poll() is None
+
     def start(self) -> None:
         """Start it without waiting until it is ready; raises Unavailable when the system gives no process."""
-        if self._process is not None and self._process.poll() is None:
+        if self.runs:
             return
         self.kill()
         ours, theirs = socket.socketpair()
