@@ -18,7 +18,8 @@ def test_callers_wait_while_no_file_can_be_opened_and_are_answered_then(tmp_path
     with RunningService(tmp_path) as service, ExitStack() as stack:
         place = httpx.URL(service.url)
         httpx.get(f"{service.url}/maps").raise_for_status()
-        resource.prlimit(service.pid, resource.RLIMIT_NOFILE, (32, 4096))
+        before = resource.prlimit(service.pid, resource.RLIMIT_NOFILE)
+        resource.prlimit(service.pid, resource.RLIMIT_NOFILE, (32, before[1]))
         waiting = [
             stack.enter_context(socket.create_connection((place.host, place.port), timeout=20))
             for _ in range(CONNECTIONS)
@@ -27,7 +28,7 @@ def test_callers_wait_while_no_file_can_be_opened_and_are_answered_then(tmp_path
             one.sendall(b"GET /livez HTTP/1.1\r\nHost: revisit\r\nConnection: close\r\n\r\n")
         answered = [one.recv(64)[:12] for one in waiting[:8]]
         assert answered == [b"HTTP/1.1 200"] * 8
-        resource.prlimit(service.pid, resource.RLIMIT_NOFILE, (4096, 4096))
+        resource.prlimit(service.pid, resource.RLIMIT_NOFILE, before)
         assert {one.recv(64)[:12] for one in waiting[8:]} == {b"HTTP/1.1 200"}
         httpx.get(f"{service.url}/maps").raise_for_status()
         said = "".join(service.output)
