@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import groupby
 from pathlib import Path
 
@@ -13,7 +13,6 @@ from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import EncoderAway, SetupError
 from schemas.image import Image, PreparedImage
 from schemas.inference import model_name, segmenter_name
-from schemas.threads import Threads
 from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
 from worker.encoders.compact.ensemble import CompactSegmenter, prepared
 from worker.encoders.compact.input_size import network_size, resized
@@ -64,7 +63,7 @@ class SharedCompactEncoder(CompactEncoder):
         in_flight: int = 2,
     ) -> None:
         super().__init__(device, weights, threads=threads, encodes=False, segments=False)
-        self._sending = Threads(in_flight, "revisit-sending")
+        self._sending = ThreadPoolExecutor(in_flight, "revisit-sending")
         self._in_flight = in_flight
         self._client = InferenceClient(url, model_name(self.name, self.digest), self.layers, key, patience_s)
         self._here: CompactEncoder | None = None
