@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -23,7 +23,6 @@ from pathlib import Path
 import cv2
 import httpx
 import numpy as np
-import psutil
 
 from lab.benchmarks.sharing import JPEG
 from lab.faults.images import peak_memory_mb
@@ -205,6 +204,13 @@ def callers(load: Load, url: str, seconds: float, answers: Counter[str]) -> list
     return [partial(go_on, call, url, caller, images, until, answers) for caller in range(load.callers)]
 
 
+def children(pid: int) -> Iterator[int]:
+    """Process ids of what the threads of a process have started (``/proc``, proc(5))."""
+    for thread in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # it has ended
+            yield from map(int, thread.read_text().split())
+
+
 def measured(load: Load, seconds: float, further: Mapping[str, str]) -> tuple[float, float, Counter[str]]:
     """Peaks of a service and of its decoders in 10^6 bytes, and how often callers were answered what.
 
@@ -226,7 +232,7 @@ def measured(load: Load, seconds: float, further: Mapping[str, str]) -> tuple[fl
             under_way = {threads.submit(work) for work in works}
             while under_way:
                 done, under_way = wait(under_way, LOOKS_S)
-                decoders |= {one.pid: peak_memory_mb(one.pid) for one in psutil.Process(service.pid).children()}
+                decoders |= {child: peak_memory_mb(child) for child in children(service.pid)}
                 for each in done:
                     each.result()
         assert service.alive, service.output[-4000:]
