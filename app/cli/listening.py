@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from app.cli.output import DONE, FAILED, Failure, say
 from app.cli.starting import collecting_new
-from schemas.errors import SetupError
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -32,10 +31,7 @@ def listen(settings: "Settings") -> socket.socket:
     """Bind the port before anything slow, so that a taken port, or too few open files, are reported at once."""
     from app.http.open_files import allow_open_files
 
-    try:
-        allow_open_files(settings.connections)
-    except SetupError as error:
-        raise Failure(str(error)) from None
+    allow_open_files(settings.connections)
     listening: socket.socket | None = None
     try:
         family = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0][0]

@@ -101,41 +101,32 @@ def noise(megapixels: float) -> bytes:
     return bytes(cv2.imencode(".png", np.random.default_rng(0).integers(0, 256, (side, side, 3), np.uint8))[1])
 
 
-def query(calls: httpx.Client, _: int, sent: bytes) -> httpx.Response:
-    """One query."""
-    return calls.post("/query", content=sent, headers=JPEG)
-
-
-def enrol(calls: httpx.Client, _: int, sent: bytes) -> httpx.Response:
-    """One enrolment, waited for."""
-    return calls.post("/enroll", content=sent, headers=JPEG)
-
-
-def in_turns(calls: httpx.Client, number: int, sent: bytes) -> httpx.Response:
-    """An enrolment, then a query."""
-    return (enrol if number % 2 else query)(calls, number, sent)
+def send(calls: httpx.Client, to: str, sent: bytes, explain: bool = False) -> httpx.Response:
+    """One query, or one enrolment that is waited for."""
+    return calls.post(to, params={"explain": "true"} if explain else {}, content=sent, headers=JPEG)
 
 
 def draw(calls: httpx.Client, _: int, sent: bytes) -> httpx.Response:
     """A query with its explanation, then the drawing of its best match."""
-    answer = calls.post("/query", params={"explain": "true"}, content=sent, headers=JPEG)
+    answer = send(calls, "/query", sent, explain=True)
     matches = answer.json()["matches"] if answer.status_code == 200 else []
     return calls.get(matches[0]["links"]["explanation"]) if matches else answer
 
 
 def compare(calls: httpx.Client, _: int, sent: bytes) -> httpx.Response:
     """A query with its explanation, then what changed since its best match."""
-    answer = calls.post("/query", params={"explain": "true"}, content=sent, headers=JPEG)
+    answer = send(calls, "/query", sent, explain=True)
     return calls.get(f"/queries/{answer.json()['query']['id']}/changes.png") if answer.status_code == 200 else answer
 
 
 WITHOUT_PAUSE: Mapping[str, Call] = {
-    "turns": in_turns,
-    "queries": query,
-    "enrolments": enrol,
+    "turns": lambda calls, number, sent: send(calls, "/enroll" if number % 2 else "/query", sent),
+    "queries": lambda calls, _, sent: send(calls, "/query", sent),
+    "enrolments": lambda calls, _, sent: send(calls, "/enroll", sent),
     "drawings": draw,
     "comparisons": compare,
 }
+"""What callers do again and again, by kind; the number is that of the call."""
 
 
 def go_on(call: Call, url: str, caller: int, images: Sequence[bytes], until: float, answers: Counter[str]) -> None:
@@ -199,7 +190,7 @@ def callers(load: Load, url: str, seconds: float, answers: Counter[str]) -> list
             view = calls.post("/enroll", content=noise(load.megapixels), headers=sent).raise_for_status().json()["view"]
             return [partial(read_slowly, url, view["id"], time.monotonic() + seconds, answers)] * load.callers
         images = photos(load.megapixels)
-        enrol(calls, 0, images[0]).raise_for_status()
+        send(calls, "/enroll", images[0]).raise_for_status()
     call, until = WITHOUT_PAUSE[load.kind], time.monotonic() + seconds
     return [partial(go_on, call, url, caller, images, until, answers) for caller in range(load.callers)]
 
@@ -255,8 +246,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     loads = dict.fromkeys(
         Load(
             load.kind,
-            load.callers if given.callers is None else min(load.callers, 1) * given.callers,
-            load.megapixels if given.megapixels is None else min(load.megapixels, 1) and given.megapixels,
+            given.callers if load.callers and given.callers else load.callers,
+            given.megapixels if load.megapixels and given.megapixels else load.megapixels,
         )
         for load in LOADS
         if load.kind in given.kinds
