@@ -275,6 +275,10 @@ class EncoderAway(Unavailable):
     """The shared encoder cannot be reached, does not answer in time, is full, or has other weights."""
 
 
+class EncoderFails(EncoderAway):
+    """The encoder of this process fails on a plain image as well: the one that it failed on is not to blame."""
+
+
 class DiskFull(RevisitError):
     """The disk is full; reading and deleting still work."""
 

@@ -38,8 +38,11 @@ MAP_WORK_EVERY_S = 1.0
 MAP_PAUSE_S = 10.0
 """Most seconds between attempts of jobs of maps and comparisons while they cannot be stored."""
 
-STORE_ATTEMPTS = 3
-"""Attempts to store a description, errors of the disk apart, before its job is failed."""
+ATTEMPTS = 3
+"""Attempts to describe an image, and to store its description, before an error that is not foreseen fails its job."""
+
+RETRY_S = 1.0
+"""Seconds before the second attempt to describe an image, and twice as many before the third."""
 
 MAP_JOB_PATIENCE_S = 10.0
 """Seconds that `Loop.stop` waits for a job of a map to be put back."""
@@ -71,6 +74,10 @@ class DescribeJobs(Protocol):
 
     def release(self, claim: Claim) -> None:
         """Put a job back without counting the attempt."""
+        ...
+
+    def try_again(self, claim: Claim) -> None:
+        """Put a job back after an attempt that counts."""
         ...
 
     def take_back(self, worker: str, held: Collection[str], *, describe: bool) -> int:
@@ -307,8 +314,16 @@ class Loop:
             # neither is a fault of the view.
             self._jobs.release(item.claim)
             return
-        except Exception as error:
+        except RevisitError as error:
             self._give_up(item.claim, error)
+            return
+        except Exception as error:
+            if item.claim.attempts >= ATTEMPTS:
+                self._give_up(item.claim, error)
+            else:  # as for want of memory
+                log.warning("view %s could not be described; it is tried again", item.claim.view.id, exc_info=error)
+                self._jobs.try_again(item.claim)
+                self._stopping.wait(RETRY_S * item.claim.attempts)
             return
         try:
             poor = self._refused(item.claim, description)
@@ -323,7 +338,7 @@ class Loop:
             raise
         except Exception as error:
             item.refusals.append(error)
-            if len(item.refusals) < STORE_ATTEMPTS:
+            if len(item.refusals) < ATTEMPTS:
                 raise
             self._give_up(item.claim, error)
             return

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from app.cli import logs
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
 from app.cli.options import Verbs, integer
-from app.cli.output import DONE, Failure, show
+from app.cli.output import DONE, FAILED, Failure, show
 from app.cli.processor import check_processor
 from app.cli.starting import collecting_new, collecting_nothing
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from worker.service.keys import KeyService
 
 log = logging.getLogger("revisit")
+
+LOOK_EVERY_S = 5.0
+"""Seconds between looks whether a worker can still describe images."""
 
 
 def add(verbs: Verbs) -> None:
@@ -190,7 +193,7 @@ def announce(runtime: "Runtime", url: str) -> None:
 
 
 def run_worker(arguments: argparse.Namespace) -> int:
-    """Describe images until SIGINT or SIGTERM."""
+    """Describe images until SIGINT or SIGTERM, or until only another process can: its supervisor starts that."""
     check_processor()
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
     logs.configure(settings.log, settings.log_level)
@@ -204,9 +207,14 @@ def run_worker(arguments: argparse.Namespace) -> int:
         runtime.start()
         collecting_new()
     show(f"revisit worker describes images of {settings.data.resolve()} with {runtime.encoder.name}")
+    trouble = None
     try:
-        stop.wait()
+        while trouble is None and not stop.wait(LOOK_EVERY_S):
+            trouble = runtime.beyond_help
     finally:
         runtime.stop()  # finishes the images being encoded; the others go back to the queue
+    if trouble is not None:
+        log.critical("stopped, so that it is started anew: %s", trouble, extra={"event": "beyond_help"})
+        return FAILED
     log.info("stopped")
     return DONE

@@ -17,6 +17,7 @@ from app.http import problems
 from app.http.keys import presented
 from app.http.metrics import MEDIA_TYPE as METRICS_TYPE, Metrics
 from app.http.middleware import STARTING_RETRY_S, BodyLimit, ReadinessGate, RequestContext
+from app.http.readiness import liveness
 from app.version import VERSION
 from schemas.description import SEMANTIC, PixelField
 from schemas.errors import BadBody, EncoderAway, NotFound, RevisitError, Unauthorized
@@ -94,11 +95,23 @@ class SharedEncoder:
         now = asyncio.get_running_loop().time()
         if self._checked is not None and now - self._checked[0] < CHECK_S:
             return self._checked[1]
-        if self._checking is None or self._checking.done():
-            self._checking = asyncio.create_task(asyncio.to_thread(self.service.check, CHECK_S))
-        state = await asyncio.shield(self._checking)
+        state = await asyncio.shield(self._try())
         self._checked = asyncio.get_running_loop().time(), state
         return state
+
+    def beyond_help(self) -> str | None:
+        """What only a restart mends, in words; None while there is nothing of the kind."""
+        if self.draining or not self.started:
+            return None
+        if self.service.away:
+            self._try()  # nobody may send an image, which alone would tell whether it is so still
+        return self.service.beyond_help
+
+    def _try(self) -> "asyncio.Task[str]":
+        """Begin to encode a test image, unless that is under way."""
+        if self._checking is None or self._checking.done():
+            self._checking = asyncio.create_task(asyncio.to_thread(self.service.check, CHECK_S))
+        return self._checking
 
 
 async def _shared(request: Request) -> SharedEncoder:
@@ -132,9 +145,9 @@ of_model = APIRouter(prefix="/v2/models/{model}", dependencies=[Depends(_key), D
 
 @probes.get("/livez")
 @probes.get("/v2/health/live")
-async def live() -> Response:
-    """Whether the process answers."""
-    return Response("ok\n", media_type="text/plain")
+async def live(shared: Shared) -> Response:
+    """Whether the process answers, and a restart would not help."""
+    return liveness(shared.beyond_help())
 
 
 @probes.get("/readyz")

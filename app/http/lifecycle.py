@@ -84,6 +84,14 @@ class Lifecycle:
         self._thread.shutdown()
         self._statistics.close()
 
+    def beyond_help(self) -> str | None:
+        """What only a restart mends, in words; None while there is nothing of the kind."""
+        if not self._started or self._draining:
+            return None
+        if self._runtime.scheduler.away is not None:
+            self._check.begin()  # nobody may send an image, which alone would tell whether it is so still
+        return self._runtime.beyond_help
+
     async def readiness(self) -> wire.Readiness:
         """Whether the service can enrol and answer now, and the state of each part."""
         return await self._check.current()

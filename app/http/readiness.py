@@ -1,4 +1,4 @@
-"""Readiness: whether images can be enrolled and queries answered now, found out by trying.
+"""Readiness: whether images can be enrolled and queries answered now, found out by trying; and liveness.
 
 A check takes as long as its slowest part, an image through the encoder. It runs in a thread of its own, and only when
 somebody asks; whoever asks meanwhile gets the last result with its age.
@@ -9,12 +9,12 @@ import time
 from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
-import numpy as np
+from starlette.responses import Response
 
 from schemas import wire
-from schemas.errors import Busy, EncoderAway, RevisitError
-from schemas.image import Image
+from schemas.errors import RevisitError
 from schemas.threads import Threads
+from worker.description.trial import tried
 
 if TYPE_CHECKING:
     from worker.runtime import Runtime
@@ -37,9 +37,14 @@ END_S = 1.0
 ENCODER_PATIENCE_S = 5.0
 """Seconds in which the encoder has to answer the test image or another one."""
 
-TEST_IMAGE = Image(np.full((64, 64, 3), 127, np.uint8), "0" * 64)
-
 NO_WORKER = "no worker is alive to describe images; start one with `./revisit worker`"
+
+
+def liveness(trouble: str | None) -> Response:
+    """What ``/livez`` answers; `trouble`: what only a restart mends, in words, or None."""
+    if trouble is None:
+        return Response("ok\n", media_type="text/plain")
+    return Response(f"{trouble}; restart it\n", 503, media_type="text/plain")
 
 
 class ReadinessCheck:
@@ -103,7 +108,7 @@ class ReadinessCheck:
             "database": store.check(),
             "disk": self._disk(),
             "decoder": self._runtime.decoder.check(),
-            "encoder": self._encoder(),
+            "encoder": tried(self._runtime.scheduler, ENCODER_PATIENCE_S),
             "worker": self._worker(),
         }
         if store.vectors is not None and needed["database"] == "ok":
@@ -117,24 +122,6 @@ class ReadinessCheck:
         state = self._runtime.store.check_space()
         trouble = self._runtime.settlements.trouble  # callers that wait are refused until the worker has tried again
         return trouble.detail if state == "ok" and trouble is not None else state
-
-    def _encoder(self) -> str:
-        scheduler = self._runtime.scheduler
-        if not scheduler.alive:
-            return "its thread has ended; restart the service"
-        before = scheduler.encoded
-        try:
-            scheduler.submit(TEST_IMAGE, lambda *_: None, urgent=True).result(ENCODER_PATIENCE_S)
-        except EncoderAway as error:
-            return error.detail
-        except Busy:
-            return "ok"  # it works through as many queries as may wait
-        except TimeoutError:
-            if scheduler.encoded == before:
-                return f"it has encoded no image for {ENCODER_PATIENCE_S:.0f} s"
-        except Exception as error:
-            return f"it failed on a test image ({type(error).__name__}); the service's log has the reason"
-        return "ok"
 
     def _worker(self) -> str:
         runtime = self._runtime

@@ -1,15 +1,16 @@
-"""While a shared encoder is away queries are told, and enrolments wait for it."""
+"""While a shared encoder is away, or the one of this process fails, queries are told and enrolments wait for it."""
 
 from collections.abc import Iterator, Sequence
 
 import pytest
 
 from schemas.description import PixelField
-from schemas.errors import EncoderAway
+from schemas.errors import EncoderAway, EncoderFails
 from schemas.image import Image
 from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
 from tests.waiting import PATIENCE_S, until
 from worker.description.scheduler import Scheduler
+from worker.description.trial import tried
 
 
 class AwayEncoder(GatedEncoder):
@@ -160,4 +161,83 @@ def test_an_image_that_may_not_wait_is_told_at_once_that_the_encoder_is_away() -
         scheduler.submit(image(2), number_of, urgent=False, waits=False).result(PATIENCE_S)
 
     assert not waiting.done()
+    scheduler.stop()
+
+
+class IllEncoder(GatedEncoder):
+    """Fails on every image, as on a GPU that is lost, until it is said to be well."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.well = False
+        self.gate.release(99)
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        if not self.well:
+            raise RuntimeError("CUDA error: an illegal memory access was encountered")
+        yield from super().encode(images)
+
+
+def test_while_the_encoder_fails_on_every_image_none_is_to_blame(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.description.blame.REST_S", 0)
+    encoder = IllEncoder()
+    scheduler = Scheduler(encoder, batch=2, queries=5)
+    scheduler.start()
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2, 3)]
+    for number in (7, 8):
+        with pytest.raises(EncoderFails, match=r"fails on every image \(RuntimeError\)"):
+            scheduler.submit(image(number), number_of, urgent=True).result(PATIENCE_S)
+    assert "fails on every image" in tried(scheduler, PATIENCE_S)
+    assert not any(one.done() for one in enrolments)
+    assert scheduler.beyond_help is None  # it may get well
+    told = [line for line in caplog.records if line.message.startswith("the encoder fails on every image")]
+    assert len(told) == 1
+    assert "illegal memory access" in str(told[0].exc_info)
+
+    encoder.well = True
+    assert [one.result(PATIENCE_S).value for one in enrolments] == [1, 2, 3]
+    assert tried(scheduler, PATIENCE_S) == "ok"
+    scheduler.stop()
+
+
+def test_an_encoder_that_fails_for_a_minute_is_beyond_help_until_it_encodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.description.scheduler.HOPELESS_S", 0.05)
+    monkeypatch.setattr("worker.description.blame.REST_S", 0)
+    encoder = IllEncoder()
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    scheduler.start()
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    until(lambda: scheduler.beyond_help == "the encoder has failed on every image for 0 s")
+
+    encoder.well = True
+    assert enrolment.result(PATIENCE_S).value == 1
+    assert scheduler.beyond_help is None
+    scheduler.stop()
+    assert scheduler.beyond_help == "the encoder's thread has ended"
+
+
+def test_a_shared_encoder_that_is_away_is_not_beyond_the_help_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.description.scheduler.HOPELESS_S", 0.0)
+    scheduler = Scheduler(AwayEncoder(), batch=1, queries=5)
+    scheduler.start()
+    for number in (1, 2):
+        with pytest.raises(EncoderAway):
+            scheduler.submit(image(number), number_of, urgent=True).result(PATIENCE_S)
+
+    assert scheduler.beyond_help is None
+    scheduler.stop()
+
+
+def test_an_image_on_which_alone_the_encoder_fails_does_not_keep_others_waiting() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    scheduler.start()
+    with pytest.raises(RuntimeError, match="kills"):
+        scheduler.submit(image(99), number_of, urgent=False).result(PATIENCE_S)
+
+    assert scheduler.away is None
+    assert scheduler.submit(image(1), number_of, urgent=False).result(PATIENCE_S).value == 1
     scheduler.stop()

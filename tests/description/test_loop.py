@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from schemas.errors import StorageFailed
+from schemas.errors import BadImage, StorageFailed
 from tests.waiting import until
 from worker.loop import Loop
 from worker.service.trouble import StoringTrouble
@@ -99,3 +99,74 @@ def test_what_was_claimed_in_a_transaction_of_unknown_end_is_taken_back() -> Non
         until(lambda: not store.free and not store.running)
     finally:
         loop.stop()
+
+
+class Shortage:
+    """A job whose image cannot be decoded for want of memory, a few times."""
+
+    def __init__(self, failures: int) -> None:
+        self.failures, self.attempts, self.waits = failures, 0, True
+        self.failed: list[tuple[str, str]] = []
+        self.released = 0
+
+    def claim(self, worker: str, count: int) -> list[Any]:
+        if not self.waits:
+            return []
+        self.waits = False
+        self.attempts += 1
+        view = SimpleNamespace(id="view", image=SimpleNamespace(sha256="0"))
+        return [SimpleNamespace(job_id="job", view=view, attempts=self.attempts)]
+
+    def claim_map_job(self, worker: str, now: object) -> None:
+        return None
+
+    def image(self, view_id: str) -> bytes:
+        if self.attempts <= self.failures:
+            raise MemoryError
+        raise StorageFailed("far enough")
+
+    def take_back(self, worker: str, held: Any, *, describe: bool) -> int:
+        return 0
+
+    def try_again(self, claim: Any) -> None:
+        self.waits = True
+
+    def release(self, claim: Any) -> None:
+        self.released += 1
+
+    def fail(self, claim: Any, code: str, detail: str, now: object) -> None:
+        self.failed.append((code, detail))
+
+
+@pytest.mark.parametrize(("failures", "attempts"), [(1, 2), (2, 3), (9, 3)])
+def test_what_nobody_foresaw_is_tried_three_times_before_a_view_fails(
+    failures: int, attempts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.loop.RETRY_S", 0.01)
+    jobs = Shortage(failures)
+    loop = looping(jobs)
+    loop.start()
+    try:
+        until(lambda: jobs.failed or jobs.released)
+    finally:
+        loop.stop()
+    assert jobs.attempts == attempts
+    if failures < attempts:
+        assert not jobs.failed
+    else:
+        assert jobs.failed == [("internal", "describing it failed (MemoryError); the service's log has the details")]
+
+
+def test_an_image_that_is_to_blame_fails_at_once() -> None:
+    class Bad(Shortage):
+        def image(self, view_id: str) -> bytes:
+            raise BadImage("undecodable-picture", "this image cannot be decoded: it ends too early")
+
+    jobs = Bad(9)
+    loop = looping(jobs)
+    loop.start()
+    try:
+        until(lambda: jobs.failed)
+    finally:
+        loop.stop()
+    assert (jobs.attempts, jobs.failed[0][0]) == (1, "undecodable-picture")

@@ -315,6 +315,9 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
     async def cancel_job(self, job_id: str) -> wire.Job:
         raise Conflict(f"the job {job_id!r} is running already")
 
+    def beyond_help(self) -> str | None:
+        return None
+
     async def readiness(self) -> wire.Readiness:
         self._may_fail("readiness")
         if self.hold is not None:

@@ -306,6 +306,28 @@ def test_it_is_ready_when_it_encodes_and_says_why_not(encoder: GatedEncoder, mon
         until(lambda: client.get("/readyz").status_code == 200)
 
 
+@pytest.mark.parametrize("path", ["/livez", "/v2/health/live"])
+def test_one_that_fails_on_every_image_is_to_be_restarted(
+    encoder: GatedEncoder, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    monkeypatch.setattr("worker.description.scheduler.HOPELESS_S", 0.1)
+    with serving(encoder) as client, monkeypatch.context() as broken:
+
+        def fail(*_: object, **__: object) -> Iterator[PixelField]:
+            raise RuntimeError("the GPU is lost")
+
+        broken.setattr(GatedEncoder, "encode", fail)
+        answer = ask(client, pixels(1))
+        assert (answer.status_code, answer.json()["type"]) == (503, "urn:revisit:problem:unavailable")
+        assert "fails on every image (RuntimeError)" in answer.json()["error"]
+        assert "fails on every image" in client.get("/readyz").json()["checks"]["encoder"]
+
+        until(lambda: client.get(path).status_code == 503)  # it tries by itself: nobody sends an image any more
+        assert client.get(path).text.startswith("the encoder has failed on every image for ")
+        broken.undo()
+        until(lambda: client.get(path).text == "ok\n")
+
+
 def test_only_who_has_the_key_is_let_in(encoder: GatedEncoder) -> None:
     with serving(encoder, encoder_key=KEY.replace(" ", "-")) as client:
         assert ask(client, pixels(1)).status_code == 401

@@ -181,6 +181,16 @@ def test_a_job_put_back_waits_unharmed(store: SqlStore) -> None:
         finish(store, claim)
 
 
+def test_a_job_that_is_tried_again_tells_how_often_it_was(store: SqlStore) -> None:
+    enroll(store, "gate")
+    for attempt in (1, 2, 3):
+        [claim] = store.jobs.claim("worker", 1)
+        assert claim.attempts == attempt
+        store.jobs.try_again(claim)
+    store.jobs.try_again(claim)  # a claim that is void
+    assert (store.jobs.get(claim.job_id).state, store.jobs.get(claim.job_id).attempts) == ("waiting", 3)
+
+
 def test_a_job_goes_with_its_view(store: SqlStore) -> None:
     view = enroll(store, "gate").view
     [claim] = store.jobs.claim("worker", 1)

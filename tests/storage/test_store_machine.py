@@ -177,13 +177,13 @@ class StoreMachine(RuleBasedStateMachine):
         view.jobs.remove(job)
         of.change_over_if_done()
 
-    @rule(claim=consumes(claims))
-    def release(self, claim: Claim) -> None:
-        self.store.jobs.release(claim)
+    @rule(claim=consumes(claims), counts=st.booleans())
+    def put_back(self, claim: Claim, counts: bool) -> None:
+        (self.store.jobs.try_again if counts else self.store.jobs.release)(claim)
         held = self.held(claim)
         if held is not None:
             job = held[2]
-            job.attempts -= 1
+            job.attempts -= not counts
             job.token = job.worker = None
 
     @rule(worker=WORKERS)
@@ -192,7 +192,7 @@ class StoreMachine(RuleBasedStateMachine):
         assert self.store.workers.bury([worker], self.now) == len(left)
         for view, job in left:
             job.token = job.worker = None
-            if job.attempts == 3:
+            if job.attempts >= 3:
                 view.jobs.remove(job)
         for of in self.maps.values():
             of.change_over_if_done()

@@ -16,7 +16,7 @@ from schemas.errors import DiskFull, SetupError
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import settings
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, until as soon
 from worker.description.describers import Describers
 from worker.encoders.color import ColorEncoder
 from worker.runtime import Runtime, build
@@ -97,6 +97,32 @@ def test_an_encoder_that_fails_is_found_out_although_nobody_queries(
         broken.setattr(ColorEncoder, "encode", fail)
         assert "RuntimeError" in until(client, False)["checks"]["encoder"]
     until(client, True)
+
+
+def test_photos_wait_for_an_encoder_that_fails_and_a_supervisor_is_told_to_restart_it(
+    client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.description.scheduler.HOPELESS_S", 0.2)
+    monkeypatch.setattr("worker.description.blame.REST_S", 0)
+    assert client.post("/enroll?map=quay", content=photo(1), headers=JPEG).status_code == 201
+
+    def fail(*_: object, **__: object) -> Any:
+        raise RuntimeError("CUDA error: an illegal memory access was encountered")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(ColorEncoder, "encode", fail)
+        later = client.post("/enroll?map=quay&wait=0", content=photo(2), headers=JPEG)
+        assert later.status_code == 202
+        refused = client.post("/query?map=quay", content=photo(1), headers=JPEG)
+        assert (refused.status_code, refused.headers["retry-after"]) == (503, "0")
+        assert "fails on every image (RuntimeError)" in refused.json()["detail"]
+        assert "fails on every image" in until(client, False)["checks"]["encoder"]
+        soon(lambda: client.get("/livez").status_code == 503)
+        assert "the encoder has failed on every image for" in client.get("/livez").text
+        assert client.get("/maps/quay").json()["views"] == {"ready": 1, "pending": 1, "failed": 0}
+
+    soon(lambda: client.get("/maps/quay").json()["views"]["ready"] == 2)
+    assert client.get("/livez").text == "ok\n"
 
 
 def test_a_service_too_busy_to_look_in_time_gives_its_last_result(

@@ -11,9 +11,10 @@ from itertools import count, groupby
 from typing import Any, Generic, TypeVar
 
 from schemas.description import PixelField
-from schemas.errors import Busy, EncoderAway, Unavailable
+from schemas.errors import Busy, EncoderAway, EncoderFails, Unavailable
 from schemas.image import Image
 from schemas.threads import Threads
+from worker.description.blame import encoded
 from worker.description.ports import Encoder, Segmenter
 from worker.description.priority import step_aside
 from worker.description.turns import CLOSE, ENROLMENT, QUERY, Turns, Waiting
@@ -23,6 +24,9 @@ Finish = Callable[..., T]
 """Called with an image and its pixel field, and the result of `parallel` where that was given."""
 
 log = logging.getLogger("revisit.scheduler")
+
+HOPELESS_S = 60.0
+"""Seconds of failures on every image after which the encoder of this process is given up."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,8 @@ class Scheduler:
     does not wait for the description of an enrolment either. A request whose future is cancelled before its turn is
     not encoded, and counts no longer as one that waits.
 
-    While a shared encoder is away queries fail with EncoderAway; enrolments wait until it is back.
+    While a shared encoder is away, or the one of this process fails on every image, queries fail with EncoderAway;
+    enrolments wait until it is back.
 
     Parameters
     ----------
@@ -100,6 +105,7 @@ class Scheduler:
         self._held: list[_Request] = []  # enrolments that met an encoder that is away
         self._rest_until = 0.0
         self._away: EncoderAway | None = None
+        self._away_since = self._away_last = 0.0
         self._segmenter_away = False
         self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
@@ -130,6 +136,16 @@ class Scheduler:
     def away(self) -> EncoderAway | None:
         """Why the encoder could not be had the last time; None once it encodes."""
         return self._away
+
+    @property
+    def beyond_help(self) -> str | None:
+        """What only another process mends, in words; None while there is nothing of the kind."""
+        if not self.alive:
+            return "the encoder's thread has ended"
+        lasted_s = self._away_last - self._away_since
+        if isinstance(self._away, EncoderFails) and lasted_s >= HOPELESS_S:
+            return f"the encoder has failed on every image for {lasted_s:.0f} s"
+        return None
 
     @property
     def segments(self) -> bool:
@@ -249,8 +265,15 @@ class Scheduler:
                 log.error("%s; segmentations are refused or wait", error.detail, extra={"event": "segmenter_away"})
             self._segmenter_away = True
         else:
+            self._away_last = time.monotonic()
             if self._away is None:
-                log.error("%s; queries are refused and enrolments wait", error.detail, extra={"event": "encoder_away"})
+                self._away_since = self._away_last
+                log.error(
+                    "%s; queries are refused and enrolments wait",
+                    error.detail,
+                    extra={"event": "encoder_away"},
+                    exc_info=error.__cause__,
+                )
             self._away = error
         self._rest_until = time.monotonic() + error.retry_after_s
         for request in left:
@@ -259,7 +282,7 @@ class Scheduler:
             elif self._may_wait(request):
                 self._held.append(request)
             else:
-                request.future.set_exception(EncoderAway(error.detail, error.retry_after_s))
+                request.future.set_exception(type(error)(error.detail, error.retry_after_s))
 
     def _encodes(self, request: _Request) -> bool:
         """Whether a request needs the encoder, and not the segmenter."""
@@ -324,7 +347,7 @@ class Scheduler:
                 for image in images:
                     yield self._segmenter.segment(image, urgent=urgent)
             else:
-                yield from self._encoder.encode(images, urgent=urgent)
+                yield from encoded(self._encoder, images, urgent=urgent)
 
 
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:

@@ -71,6 +71,13 @@ class Runtime(Parts):
             self.loop.start()
         self.bell.start(waits=self.serving)
 
+    @property
+    def beyond_help(self) -> str | None:
+        """What only a restart mends while this process runs, in words; None while there is nothing of the kind."""
+        if self.loop is not None and not self.loop.alive:
+            return "the worker's thread has ended"
+        return self.scheduler.beyond_help
+
     def decode(self, data: bytes) -> Image:
         """Bytes to Image; raises BadImage."""
         return self.decoder.decode(data)

@@ -10,10 +10,11 @@ import numpy as np
 from schemas.description import Floats, PixelField
 from schemas.errors import BadBody, EncoderAway, NotFound, RevisitError
 from schemas.image import Bytes2D, Image, PreparedImage
-from schemas.inference import PROBE, model_name, segmenter_name
+from schemas.inference import model_name, segmenter_name
 from schemas.records import Meaning
 from worker.description.ports import Encoder, Segmenter
 from worker.description.scheduler import Scheduler, Timed, field_alone
+from worker.description.trial import tried
 
 MOST_SEGMENTED = 8
 """Segmentations that may wait, urgent or not: each takes as long as a dozen images, and who wants one gives up soon."""
@@ -80,6 +81,16 @@ class EncodingService:
     def waiting(self) -> int:
         """Images that wait or are in the network."""
         return sum(self._waiting.values()) + self._segmented
+
+    @property
+    def away(self) -> bool:
+        """Whether the encoder failed on every image the last time."""
+        return self._scheduler.away is not None
+
+    @property
+    def beyond_help(self) -> str | None:
+        """What only another process mends, in words; None while there is nothing of the kind."""
+        return self._scheduler.beyond_help
 
     def start(self) -> None:
         """Start the encoder's threads."""
@@ -175,22 +186,7 @@ class EncodingService:
 
     def check(self, patience_s: float) -> str:
         """``ok`` once a small image was encoded, or why it was not."""
-        if not self._scheduler.alive:
-            return "its thread has ended; restart it"
-        before = self._scheduler.encoded
-        try:
-            [future] = self.submit(PROBE, urgent=True)
-            future.result(patience_s)
-        except EncoderAway:
-            return "ok"  # it works through as many images as may wait
-        except TimeoutError:
-            if self._scheduler.encoded == before:
-                return f"it has encoded no image for {patience_s:.0f} s"
-        except RevisitError as error:
-            return error.detail
-        except Exception as error:
-            return f"it failed on a test image ({type(error).__name__}); its log has the reason"
-        return "ok"
+        return tried(self._scheduler, patience_s)
 
 
 def stacked(fields: Sequence[PixelField]) -> Mapping[str, Floats]:

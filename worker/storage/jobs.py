@@ -148,6 +148,10 @@ class Jobs(Part):
         """Put a job back without counting the attempt; does nothing when the claim is void."""
         self._put_back(claim)
 
+    def try_again(self, claim: Claim) -> None:
+        """Put a job back after an attempt that counts; does nothing when the claim is void."""
+        self._put_back(claim, uncounted=0)
+
     def take_back(self, worker: str, held: Collection[str], *, describe: bool) -> int:
         """Put back jobs that a worker claimed but does not hold; returns how many.
 
@@ -160,12 +164,12 @@ class Jobs(Part):
             back = {"state": "waiting", "worker": None, "token": None, "attempts": JOBS.c.attempts - 1}
             return connection.execute(sa.update(JOBS).where(*lost, JOBS.c.id.not_in(held)).values(**back)).rowcount
 
-    def _put_back(self, claim: Claim | MapClaim) -> None:
+    def _put_back(self, claim: Claim | MapClaim, *, uncounted: int = 1) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(
                 sa.update(JOBS)
                 .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
-                .values(state="waiting", worker=None, token=None, attempts=JOBS.c.attempts - 1)
+                .values(state="waiting", worker=None, token=None, attempts=JOBS.c.attempts - uncounted)
             )
 
     def count_pending(self, name: str) -> int:

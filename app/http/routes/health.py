@@ -15,6 +15,7 @@ from app.http.keys import Accesses
 from app.http.metrics import MEDIA_TYPE
 from app.http.middleware import STARTING_RETRY_S
 from app.http.openapi import answers_bytes, document, refusals
+from app.http.readiness import liveness
 from schemas.keys import Access
 from schemas.wire import Readiness, Version
 
@@ -26,10 +27,20 @@ PATIENCE_S = 0.2
 """Seconds to wait for a check, twice: `/readyz` answers within half a second."""
 
 
-@router.get("/livez", responses={**answers_bytes("text/plain", description="Alive."), **refusals(always_open=True)})
-async def livez() -> Response:
-    """Whether the process answers."""
-    return Response("ok\n", media_type="text/plain")
+@router.get(
+    "/livez",
+    responses={
+        **answers_bytes("text/plain", description="Alive."),
+        503: {"content": {"text/plain": {}}, "description": "Only a restart helps; the text says why."},
+        **refusals(always_open=True),
+    },
+)
+async def livez(lifecycle: Lifecycles) -> Response:
+    """Whether the process answers, and a restart would not help.
+
+    It would where the encoder has failed on every image for a minute, or a thread has ended that describes them.
+    """
+    return liveness(lifecycle.beyond_help())
 
 
 @router.get(

@@ -1,0 +1,50 @@
+"""Whether an image is to blame for a failure of the encoder, or the encoder itself."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from schemas.description import PixelField
+from schemas.errors import EncoderAway, EncoderFails
+from schemas.image import Image
+from worker.description.ports import Encoder
+
+PLAIN = Image(np.full((480, 640, 3), 127, np.uint8), "0" * 64)
+"""An image that no encoder should fail on, of a usual size: it needs as much memory as those of callers."""
+
+REST_S = 5
+"""Seconds between attempts while the encoder fails."""
+
+
+def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
+    """The fields of images, as `Encoder.encode` makes them.
+
+    Where that fails, the encoder is tried on a plain image. If it fails there too, as on a GPU that is lost or without
+    memory, these images would fail for nothing of their own.
+
+    Raises
+    ------
+    EncoderFails
+        It fails on a plain image as well.
+    EncoderAway
+        A shared encoder cannot be had now.
+    Exception
+        Whatever the encoder raised on these images.
+    """
+    try:
+        yield from encoder.encode(images, urgent=urgent)
+    except EncoderAway:
+        raise
+    except Exception as error:
+        try:
+            for _ in encoder.encode([PLAIN], urgent=urgent):
+                pass
+        except EncoderAway:
+            raise
+        except Exception:
+            raise EncoderFails(
+                f"the encoder fails on every image ({type(error).__name__}); the service's log has the reason; "
+                f"try again in {REST_S} s",
+                REST_S,
+            ) from error
+        raise

@@ -1,0 +1,34 @@
+"""Whether an encoder encodes, found out by trying."""
+
+from schemas.errors import Busy, EncoderAway
+from schemas.image import Image
+from schemas.inference import PROBE
+from worker.description.scheduler import Scheduler, field_alone
+
+SMALL = Image(PROBE[0], "0" * 64)
+
+
+def tried(scheduler: Scheduler, patience_s: float) -> str:
+    """``ok`` once a small image was encoded, or why it was not.
+
+    Parameters
+    ----------
+    scheduler : Scheduler
+    patience_s : float
+        Seconds in which this image has to be encoded, or another one.
+    """
+    if not scheduler.alive:
+        return "its thread has ended; restart the service"
+    before = scheduler.encoded
+    try:
+        scheduler.submit(SMALL, field_alone, urgent=True).result(patience_s)
+    except EncoderAway as error:
+        return error.detail
+    except Busy:
+        return "ok"  # it works through as many images as may wait
+    except TimeoutError:
+        if scheduler.encoded == before:
+            return f"it has encoded no image for {patience_s:.0f} s"
+    except Exception as error:
+        return f"it failed on a test image ({type(error).__name__}); the service's log has the reason"
+    return "ok"
