@@ -1,8 +1,6 @@
 """A shared encoder over HTTP: batches over all callers, bounds, the key, and every refusal in words."""
 
 import json
-import threading
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,34 +9,14 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.http.encoding import encoder_application
-from schemas.description import PixelField
-from schemas.image import Bytes2D, Image, PreparedImage
+from schemas.image import Image
 from schemas.inference import JSON_LENGTH, PIXELS, Tensor, packed, unpacked
-from schemas.settings import read_settings
-from tests.waiting import PATIENCE_S, until
+from tests.http.shared_encoder import GatedEncoder, GatedSegmenter, ask, pixels, serving
+from tests.waiting import until
 from worker.encoders.color import ColorEncoder
-from worker.service.encoding import MOST_SEGMENTED, EncodingService
+from worker.service.encoding import MOST_SEGMENTED
 
 KEY = "a key that the fleet shares"
-
-
-class GatedEncoder(ColorEncoder):
-    """Encodes whenever the test lets it, and remembers what it was given together."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.batches: list[list[int]] = []
-        self.open = threading.Event()
-        self.open.set()
-
-    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
-        numbers = [int(image.pixels[0, 0, 0]) for image in images]
-        self.batches.append(numbers)
-        self.open.wait(PATIENCE_S)
-        if 99 in numbers:
-            raise RuntimeError("this picture kills the network")
-        return super().encode(images)
 
 
 @pytest.fixture
@@ -46,52 +24,10 @@ def encoder() -> GatedEncoder:
     return GatedEncoder()
 
 
-class GatedSegmenter:
-    """Draws the first pixel of each scale, whenever the test lets it."""
-
-    shared, digest, scales = False, "d" * 64, 2
-
-    def __init__(self) -> None:
-        self.open = threading.Event()
-        self.open.set()
-        self.urgent: list[bool] = []
-
-    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
-        assert isinstance(image, PreparedImage)
-        self.urgent.append(urgent)
-        self.open.wait(PATIENCE_S)
-        drawn = np.array([scale[0, 0, 0] for scale in image.scales], np.float32)
-        return PixelField({"semantic": np.broadcast_to(drawn, (*image.grid, 2)).copy()}, image.extent)
-
-
-def serving(
-    encoder: GatedEncoder, *, most: int = 8, segmenter: GatedSegmenter | None = None, **settings: str
-) -> TestClient:
-    app = encoder_application(
-        lambda observe: EncodingService(encoder, 4, observe, most, segmenter),
-        read_settings({f"REVISIT_{name.upper()}": value for name, value in settings.items()}),
-    )
-    return TestClient(app, raise_server_exceptions=False)
-
-
 @pytest.fixture
 def client(encoder: GatedEncoder) -> Iterator[TestClient]:
     with serving(encoder) as one:
         yield one
-
-
-def pixels(*numbers: int, side: int = 32) -> Bytes2D:
-    return np.stack([np.full((side, 64, 3), number, np.uint8) for number in numbers])
-
-
-def ask(
-    client: TestClient, images: Tensor, model: str | None = None, *, name: str = PIXELS, **further: object
-) -> httpx.Response:
-    length, body = packed("inputs", {name: images}, further)
-    model = client.app.state.shared.service.model if model is None else model  # type: ignore[attr-defined]
-    headers = {JSON_LENGTH: str(length), "content-type": "application/octet-stream"}
-    answer: httpx.Response = client.post(f"/v2/models/{model}/infer", content=body, headers=headers)
-    return answer
 
 
 def numbers_waiting(client: TestClient, count: int) -> None:
@@ -286,46 +222,6 @@ def test_it_says_what_it_is_as_the_protocol_has_it(client: TestClient, encoder: 
     assert [(one["name"], one["shape"][-1]) for one in facts["outputs"]] == [("words", 8), ("detail", 12)]
     for path in ("/livez", "/readyz", "/v2/health/live", "/v2/health/ready", f"/v2/models/{model}/ready"):
         assert client.get(path).status_code == 200
-
-
-def test_it_is_ready_when_it_encodes_and_says_why_not(encoder: GatedEncoder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.http.encoding.CHECK_S", PATIENCE_S)
-    with serving(encoder) as client:
-        assert client.get("/readyz").json()["checks"] == {"encoder": "ok"}
-        assert encoder.batches == [[127]]
-        monkeypatch.setattr("app.http.encoding.CHECK_S", 0.2)
-        encoder.open.clear()
-        time.sleep(0.25)
-
-        answer = client.get("/readyz")
-
-        assert answer.status_code == 503
-        assert answer.json()["checks"] == {"encoder": "it has encoded no image for 0 s"}
-        assert "retry-after" in answer.headers
-        encoder.open.set()
-        until(lambda: client.get("/readyz").status_code == 200)
-
-
-@pytest.mark.parametrize("path", ["/livez", "/v2/health/live"])
-def test_one_that_fails_on_every_image_is_to_be_restarted(
-    encoder: GatedEncoder, monkeypatch: pytest.MonkeyPatch, path: str
-) -> None:
-    monkeypatch.setattr("worker.description.scheduler.HOPELESS_S", 0.1)
-    with serving(encoder) as client, monkeypatch.context() as broken:
-
-        def fail(*_: object, **__: object) -> Iterator[PixelField]:
-            raise RuntimeError("the GPU is lost")
-
-        broken.setattr(GatedEncoder, "encode", fail)
-        answer = ask(client, pixels(1))
-        assert (answer.status_code, answer.json()["type"]) == (503, "urn:revisit:problem:unavailable")
-        assert "fails on every image (RuntimeError)" in answer.json()["error"]
-        assert "fails on every image" in client.get("/readyz").json()["checks"]["encoder"]
-
-        until(lambda: client.get(path).status_code == 503)  # it tries by itself: nobody sends an image any more
-        assert client.get(path).text.startswith("the encoder has failed on every image for ")
-        broken.undo()
-        until(lambda: client.get(path).text == "ok\n")
 
 
 def test_only_who_has_the_key_is_let_in(encoder: GatedEncoder) -> None:
