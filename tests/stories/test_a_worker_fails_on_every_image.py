@@ -42,8 +42,9 @@ def test_a_worker_that_fails_on_every_image_ends_and_another_describes_them(tmp_
             return counts
 
         for number in range(3):
-            sent = {"content": photo(number), "headers": {"content-type": "image/jpeg", "Prefer": "respond-async"}}
-            assert client.post(f"/enroll?map=quay&place=spot-{number}&wait=0", **sent).status_code == 202
+            where = f"/enroll?map=quay&place=spot-{number}&wait=0"
+            taken = client.post(where, content=photo(number), headers={"content-type": "image/jpeg"})
+            assert taken.status_code == 202
 
         ill = subprocess.run(
             [sys.executable, "-c", ILL],
