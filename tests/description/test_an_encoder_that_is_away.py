@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import pytest
 
 from schemas.description import PixelField
@@ -178,6 +179,16 @@ class IllEncoder(GatedEncoder):
         yield from super().encode(images)
 
 
+class OverflowingEncoder(GatedEncoder):
+    """Gives vectors of a bright image that are none."""
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        for one, field in zip(images, super().encode(images), strict=True):
+            if one.pixels[0, 0, 0] == 255:
+                field.semantic[:] = np.nan
+            yield field
+
+
 def test_while_the_encoder_fails_on_every_image_none_is_to_blame(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,4 +251,18 @@ def test_an_image_on_which_alone_the_encoder_fails_does_not_keep_others_waiting(
 
     assert scheduler.away is None
     assert scheduler.submit(image(1), number_of, urgent=False).result(PATIENCE_S).value == 1
+    scheduler.stop()
+
+
+def test_an_image_whose_vectors_are_none_fails_alone() -> None:
+    encoder = OverflowingEncoder()
+    encoder.gate.release(9)
+    scheduler = Scheduler(encoder, batch=2, queries=5)
+    futures = [scheduler.submit(image(number), number_of, urgent=False) for number in (1, 255, 3)]
+    scheduler.start()
+
+    with pytest.raises(ValueError, match="numbers that are none"):
+        futures[1].result(PATIENCE_S)
+    assert [futures[n].result(PATIENCE_S).value for n in (0, 2)] == [1, 3]
+    assert scheduler.away is None
     scheduler.stop()

@@ -29,15 +29,15 @@ def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Itera
     EncoderAway
         A shared encoder cannot be had now.
     Exception
-        Whatever the encoder raised on these images.
+        Whatever the encoder raised on these images; ValueError where it gave numbers that are none.
     """
     try:
-        yield from encoder.encode(images, urgent=urgent)
+        yield from _sound(encoder, images, urgent=urgent)
     except EncoderAway:
         raise
     except Exception as error:
         try:
-            for _ in encoder.encode([PLAIN], urgent=urgent):
+            for _ in _sound(encoder, [PLAIN], urgent=urgent):
                 pass
         except EncoderAway:
             raise
@@ -48,3 +48,11 @@ def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Itera
                 REST_S,
             ) from error
         raise
+
+
+def _sound(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
+    """What an encoder makes of images; raises ValueError where that is no field, as half precision may overflow."""
+    for field in encoder.encode(images, urgent=urgent):
+        if not all(np.isfinite(layer.sum()) for layer in field.layers.values()):
+            raise ValueError("the encoder gave vectors with numbers that are none")
+        yield field
