@@ -45,7 +45,7 @@ def find(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Pat
         path = Path(text)
         if path.is_dir():
             shown = [p for p in path.rglob("*") if not _is_hidden(p.relative_to(path))]
-            files = sorted((p for p in shown if p.is_file() or p.is_symlink()), key=_in_order)
+            files = sorted((p for p in shown if p.is_symlink() or not p.is_dir()), key=_in_order)
             reasons = {p: _not_taken(p) for p in files}
             inside = [p for p in files if reasons[p] is None]
             if skipped is not None:
@@ -81,7 +81,7 @@ def _in_order(path: Path) -> list[tuple[object, ...]]:
 def _not_taken(path: Path) -> str | None:
     """Why a file in a folder is not enrolled; None when it is."""
     if not path.is_file():
-        return "the link leads nowhere, or to a folder" if path.is_symlink() else "it is no file"
+        return "the link leads nowhere, or to a folder" if path.is_symlink() else "it is a pipe, a socket or a device"
     kind = path.suffix.lower()
     if kind in SUFFIXES:
         return None

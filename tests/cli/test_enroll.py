@@ -198,17 +198,19 @@ def test_photos_of_phones_are_sent_as_they_are(service: FakeService, folder: Pat
 def test_what_is_skipped_is_named_with_its_reason(service: FakeService, folder: Path, capsys: Out) -> None:
     (folder / "clip.gif").write_bytes(b"GIF89a")
     (folder / "gone.png").symlink_to(folder / "nowhere.png")
+    os.mkfifo(folder / "live.jpg")
     service.replies["POST /enroll"] = 201, answers.enrolled()
 
     assert main(["enroll", str(folder)]) == 0
 
     told = capsys.readouterr()
-    assert told.out == "3 enrolled, 0 already there, 0 failed, 3 skipped\n"
+    assert told.out == "3 enrolled, 0 already there, 0 failed, 4 skipped\n"
     assert f"skipped {folder / 'notes.txt'}: .txt is no ending of an image" in told.err
     assert f"skipped {folder / 'clip.gif'}: .gif is no ending of an image" in told.err
     assert f"skipped {folder / 'gone.png'}: the link leads nowhere" in told.err
+    assert f"skipped {folder / 'live.jpg'}: it is a pipe" in told.err
     assert main(["enroll", str(folder), "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["skipped"]) == 3
+    assert len(json.loads(capsys.readouterr().out)["skipped"]) == 4
 
 
 def test_what_is_hidden_in_a_folder_is_left_out(service: FakeService, folder: Path, capsys: Out) -> None:
