@@ -176,8 +176,13 @@ class Loop:
 
     @property
     def alive(self) -> bool:
-        """Whether the loop's thread runs."""
+        """Whether the thread for describe jobs runs."""
         return self._thread.is_alive()
+
+    @property
+    def whole(self) -> bool:
+        """Whether the thread for jobs of maps runs as well."""
+        return self.alive and self._map_thread.is_alive()
 
     def start(self) -> None:
         """Start the threads for describe jobs and for jobs of maps."""

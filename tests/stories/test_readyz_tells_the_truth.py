@@ -125,6 +125,17 @@ def test_photos_wait_for_an_encoder_that_fails_and_a_supervisor_is_told_to_resta
     assert client.get("/livez").text == "ok\n"
 
 
+def test_a_service_whose_worker_has_ended_is_to_be_restarted(runtime: Runtime, client: CheckedClient) -> None:
+    assert client.get("/livez").status_code == 200
+    assert runtime.loop is not None
+    runtime.loop.stop()  # as an error would that nobody foresaw
+
+    answer = client.get("/livez")
+
+    assert (answer.status_code, answer.text) == (503, "a thread of the worker has ended; restart it\n")
+    assert answer.headers["content-type"].startswith("text/plain")
+
+
 def test_a_service_too_busy_to_look_in_time_gives_its_last_result(
     runtime: Runtime, client: CheckedClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -130,7 +130,7 @@ class VocabularyTrainer:
                 )
             trained = recipe.model_copy(update={"vocabulary": learned.digest})
             self._jobs.finish_training(claim, trained, learned.tensors, _now())
-        except (JobStopped, EncoderAway):  # the latter only where the service stops while a shared encoder is away
+        except (JobStopped, EncoderAway):  # the latter only where the service stops while the encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or given to another worker", claim.job_id)

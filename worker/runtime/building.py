@@ -74,8 +74,8 @@ class Runtime(Parts):
     @property
     def beyond_help(self) -> str | None:
         """What only a restart mends while this process runs, in words; None while there is nothing of the kind."""
-        if self.loop is not None and not self.loop.alive:
-            return "the worker's thread has ended"
+        if self.loop is not None and not self.loop.whole:
+            return "a thread of the worker has ended"
         return self.scheduler.beyond_help
 
     def decode(self, data: bytes) -> Image:

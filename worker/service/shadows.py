@@ -187,7 +187,7 @@ class ShadowService:
                     log.warning("answers cannot be compared for now: %s", error.detail)
                     self._rest(PAUSE_S)
                     _unless(stopping)
-        except (JobStopped, EncoderAway):  # the latter only where the service stops while a shared encoder is away
+        except (JobStopped, EncoderAway):  # the latter only where the service stops while the encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or its map deleted", claim.job_id)
