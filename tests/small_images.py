@@ -1,10 +1,13 @@
 """Images of a few dozen pixels, of which tests make thousands.
 
-The service would enlarge them ten times before it looks for keypoints, which takes longer than all else that is done
-with them.
+The service would enlarge them up to ten times before it looks for keypoints, which takes longer than all else that is
+done with them.
 """
 
-from typing import Any
+import importlib
+
+from schemas.description import LocalFeatures
+from schemas.image import Bytes2D
 
 LARGEST = 96
 """Longer side of an image that is taken for small, in pixels."""
@@ -15,11 +18,12 @@ TIMES = 3
 
 def look_less_closely() -> None:
     """Have this process look for keypoints in small images without enlarging them as far as it would."""
-    from worker.description import describer, local_features
+    local_features = importlib.import_module("worker.description.local_features").local_features
 
-    def found(pixels: Any, keypoints: int, longer_side: int, equalised: bool) -> Any:
+    def found(pixels: Bytes2D, keypoints: int, longer_side: int, equalised: bool) -> LocalFeatures:
         size = max(pixels.shape[:2])
         side = min(longer_side, TIMES * size) if size <= LARGEST else longer_side
-        return local_features.local_features(pixels, keypoints, side, equalised)
+        features: LocalFeatures = local_features(pixels, keypoints, side, equalised)
+        return features
 
-    describer.local_features = found
+    importlib.import_module("worker.description.describer").local_features = found  # type: ignore[attr-defined]
