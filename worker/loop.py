@@ -14,6 +14,7 @@ from schemas.description import Description
 from schemas.errors import EncoderAway, LeaseLost, PoorImage, RevisitError
 from schemas.image import Image
 from schemas.log_context import bound
+from schemas.recipe import DescriptionRecipe
 from schemas.records import Claim, JobKind, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -60,8 +61,8 @@ class _Underway:
 class DescribeJobs(Protocol):
     """The queues of describe jobs and of jobs of maps."""
 
-    def claim(self, worker: str, count: int) -> list[Claim]:
-        """Claim up to `count` of the oldest describe jobs."""
+    def claim(self, worker: str, count: int, able: Callable[[DescriptionRecipe], bool]) -> list[Claim]:
+        """Claim up to `count` of the oldest describe jobs whose recipe the worker is able to describe by."""
         ...
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
@@ -292,7 +293,7 @@ class Loop:
         """Claim up to `count` jobs and begin them; each is added to `underway`, even if others fail to begin."""
         if count <= 0:
             return
-        claims, unread = self._jobs.claim(self._name, count), []
+        claims, unread = self._jobs.claim(self._name, count, self._describers.has), []
         for claim in claims:
             with _log_fields(claim):
                 try:

@@ -17,7 +17,7 @@ class Disk:
     def __init__(self, refusals: int) -> None:
         self.refusals, self.waiting, self.released = refusals, ["first", "second"], set[str]()
 
-    def claim(self, worker: str, count: int) -> list[Any]:
+    def claim(self, worker: str, count: int, able: object) -> list[Any]:
         ids, self.waiting = self.waiting[:count], self.waiting[count:]
         view = SimpleNamespace(image=SimpleNamespace(sha256="0"))
         return [SimpleNamespace(job_id=one, view=SimpleNamespace(id=one, image=view.image)) for one in ids]
@@ -45,7 +45,7 @@ def looping(store: Any) -> Loop:
         views=store,
         pruning=cast(Any, SimpleNamespace(prune=lambda: 0)),
         scheduler=cast(Any, None),
-        describers=cast(Any, None),
+        describers=cast(Any, SimpleNamespace(has=lambda recipe: True)),
         map_jobs={},
         decode=cast(Any, None),
         decoded=cast(Any, SimpleNamespace(take=lambda digest: None, clear=lambda: None)),
@@ -78,7 +78,7 @@ class Unsure:
             self.running.add(describe)
             raise StorageFailed("the connection broke")
 
-    def claim(self, worker: str, count: int) -> list[Any]:
+    def claim(self, worker: str, count: int, able: object) -> list[Any]:
         self._claim(True)
         return []
 
@@ -109,7 +109,7 @@ class Shortage:
         self.failed: list[tuple[str, str]] = []
         self.released = 0
 
-    def claim(self, worker: str, count: int) -> list[Any]:
+    def claim(self, worker: str, count: int, able: object) -> list[Any]:
         if not self.waits:
             return []
         self.waits = False

@@ -10,6 +10,7 @@ import sqlalchemy as sa
 
 from schemas.enrolment import EnrolmentOptions
 from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, ViewRecord
 from tests.storage.conftest import Open
 from tests.storage.material import (
@@ -50,6 +51,22 @@ def test_jobs_of_damaged_recipes_are_left_and_those_behind_them_go_on(store: Sql
     assert [claim.view.id for claim in store.jobs.claim("two", 2)] == [views[2].id]
     assert store.jobs.claim("three", 2) == []
     assert store.jobs.count_waiting() == 8
+
+
+def test_a_worker_leaves_what_it_cannot_describe_and_takes_what_is_behind_it(store: SqlStore) -> None:
+    other = recipe("other")
+    left = [enroll(store, f"other {at}", map="other", by=other).view.id for at in range(3)]
+    views = [enroll(store, name).view.id for name in ("gate", "pond")]
+    seen: list[str] = []
+
+    def able(wanted: DescriptionRecipe) -> bool:
+        seen.append(wanted.id)
+        return wanted.id != other.description.id
+
+    assert [claim.view.id for claim in store.jobs.claim("one", 2, able)] == views
+    assert sorted(seen) == sorted({other.description.id, RECIPE.description.id}), "each recipe once"
+    assert store.jobs.claim("one", 2, able) == []
+    assert [claim.view.id for claim in store.jobs.claim("two", 9)] == left
 
 
 def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_nothing(store: SqlStore) -> None:

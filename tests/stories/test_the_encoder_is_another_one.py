@@ -1,5 +1,6 @@
 """A service starts with another encoder: maps of the one before say so, are described anew, and go back at once."""
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,8 @@ import httpx
 from scenes import scene
 from tests.stories.importing import ZIP, ended, photos, zipped
 from tests.stories.photos import photo
-from tests.stories.running import RunningService
+from tests.stories.running import RunningService, worker
+from tests.waiting import until
 
 JPEG = {"content-type": "image/jpeg"}
 PLACES = ("mill lane", "rose garden", "castle park")
@@ -62,3 +64,24 @@ def test_a_map_is_carried_over_to_another_encoder_and_back(tmp_path: Path) -> No
         assert places(client) == refused
         describe_anew(client)  # from the descriptions that were kept for the way back
         assert places(client) == before
+
+
+def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describe_them(tmp_path: Path) -> None:
+    """As in a fleet that is brought to new weights node by node, or where one machine has other settings."""
+    with (
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
+
+        def views() -> dict[str, int]:
+            counts: dict[str, int] = client.get("/maps/default").json()["views"]
+            return counts
+
+        with worker(tmp_path, REVISIT_ENCODER="compact"):
+            for name in PLACES:
+                kept = client.post(f"/enroll?wait=false&place={name}", content=photo(scene(name)), headers=JPEG)
+                assert kept.status_code == 202
+            time.sleep(2)
+            assert views() == {"pending": len(PLACES), "ready": 0, "failed": 0}
+        with worker(tmp_path):
+            until(lambda: views() == {"pending": 0, "ready": len(PLACES), "failed": 0})

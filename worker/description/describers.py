@@ -1,5 +1,6 @@
 """Describers by recipe: built once, shared by queries and enrolments."""
 
+import logging
 from collections.abc import Iterable
 
 from schemas.errors import NotFound, SetupError
@@ -11,6 +12,8 @@ from worker.description.ports import Encoder, VocabularyReader
 from worker.description.vocabularies import Vocabulary
 from worker.method.byte_vectors import Product, float_product
 from worker.method.impostors import Impostors
+
+log = logging.getLogger("revisit.worker")
 
 KEPT = 32
 """Describers kept; with more recipes in use the least recently used are built again, in milliseconds."""
@@ -42,6 +45,7 @@ class Describers:
         self._general = {vocabulary.digest: vocabulary for vocabulary in general}
         self._made: Latest[str, Describer] = Latest(KEPT)
         self._impostors: Latest[str, Impostors | None] = Latest(KEPT)
+        self._refused: set[str] = set()  # recipes without a describer, of which the log knows
 
     def of(self, recipe: DescriptionRecipe) -> Describer:
         """The describer of a recipe.
@@ -52,6 +56,19 @@ class Describers:
             The recipe was made with another encoder or other weights, or its vocabulary is gone.
         """
         return self._made.get_or_make(recipe.id, lambda: self._describer(recipe))
+
+    def has(self, recipe: DescriptionRecipe) -> bool:
+        """Whether there is a describer of a recipe; where there is none, that is logged once."""
+        try:
+            self.of(recipe)
+        except SetupError as error:
+            if recipe.id not in self._refused:
+                self._refused.add(recipe.id)
+                log.error(
+                    "images wait that another worker has to describe: %s", error.detail, extra={"event": "not_served"}
+                )
+            return False
+        return True
 
     def impostors(self, recipe: DescriptionRecipe) -> Impostors | None:
         """The impostors that queries of maps with a recipe are compared with; None where there are none."""

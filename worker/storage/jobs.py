@@ -1,7 +1,7 @@
 """Describe jobs: claimed by a worker, finished once, failed after three attempts."""
 
 import secrets
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from typing import Any, get_args
 
@@ -48,17 +48,26 @@ _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 class Jobs(Part):
     """The queue of describe jobs."""
 
-    def claim(self, worker: str, count: int) -> list[Claim]:
+    def claim(
+        self, worker: str, count: int, able: Callable[[DescriptionRecipe], bool] = lambda recipe: True
+    ) -> list[Claim]:
         """Claim up to `count` of the oldest jobs that wait.
 
         A job stays claimed until it ends or its worker is found dead (see workers.py). Enrolments, whose callers may
         be waiting, go before the jobs of a recipe switch.
+
+        Parameters
+        ----------
+        worker : str
+        count : int
+        able : function
+            Whether this worker can describe by a recipe; jobs of another one are left to others.
         """
         with self._database.reading() as connection:  # with no job to claim, no writer has to wait
             if connection.execute(_ANY_WAITING).first() is None:
                 return []
         with self._database.writing(in_turn=False, durable=False) as connection:
-            jobs, recipes = _oldest_waiting(connection, int(count))
+            jobs, recipes = _oldest_waiting(connection, int(count), able)
             return self._claim(connection, jobs, recipes, worker)
 
     def _claim(
@@ -192,26 +201,34 @@ class Jobs(Part):
             return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)
 
 
-def _oldest_waiting(connection: sa.Connection, most: int) -> tuple[list[sa.Row[Any]], dict[str, DescriptionRecipe]]:
+def _oldest_waiting(
+    connection: sa.Connection, most: int, able: Callable[[DescriptionRecipe], bool]
+) -> tuple[list[sa.Row[Any]], dict[str, DescriptionRecipe]]:
     """The oldest jobs that wait, and their recipes by id.
 
-    Jobs of a recipe that is damaged beyond use are left for `revisit doctor`; those behind them go on.
+    Jobs of a recipe that is damaged beyond use are left for `revisit doctor`, and those that this worker is not `able`
+    to do for others; those behind them go on.
     """
     recipes: dict[str, DescriptionRecipe] = {}
-    damaged: list[str] = []
+    left: list[str] = []
     oldest = _OLDEST_WAITING
     while True:
         jobs = list(connection.execute(oldest, {"most": most}))
-        before = len(damaged)
+        before = len(left)
         for recipe in {job.recipe for job in jobs}.difference(recipes):
             try:
-                recipes[recipe] = find_recipe(connection, recipe)
+                found = find_recipe(connection, recipe)
             except Damaged as error:
                 log.error("jobs are left alone: %s", error.detail)
-                damaged.append(recipe)
-        if len(damaged) == before:
+                left.append(recipe)
+                continue
+            if able(found):
+                recipes[recipe] = found
+            else:
+                left.append(recipe)
+        if len(left) == before:
             return jobs, recipes
-        oldest = _OLDEST_WAITING.where(JOBS.c.recipe.not_in(damaged))
+        oldest = _OLDEST_WAITING.where(JOBS.c.recipe.not_in(left))
 
 
 def _refuse(connection: sa.Connection, job: sa.Row[Any], now: datetime, detail: str) -> None:
