@@ -14,7 +14,7 @@ import pytest
 from hypothesis import settings
 
 from tests import NUMPY_SPLITS_SUMS
-from tests.small_images import look_less_closely
+from tests.small_images import enlarge_less
 
 # A busy machine is slow, not wrong.
 settings.register_profile("revisit", deadline=None, max_examples=60, derandomize=True)
@@ -70,7 +70,7 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 def pytest_configure(config: pytest.Config) -> None:
     """Refuse to compare bits that depend on the number of cores; spare what would be done thousands of times.
 
-    Each client of httpx would read the certificates for HTTPS anew, for 30 ms. Of small images: `look_less_closely`.
+    Each client of httpx would read the certificates for HTTPS anew, for 30 ms. Of small images: `enlarge_less`.
     """
 
     @cache
@@ -81,7 +81,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return read((os.environ.get("SSL_CERT_FILE"), os.environ.get("SSL_CERT_DIR")), **said)
 
     pytest.MonkeyPatch().setattr("httpx._transports.default.create_ssl_context", context)
-    look_less_closely()
+    enlarge_less()
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
         raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")
 

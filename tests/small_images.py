@@ -16,7 +16,7 @@ TIMES = 3
 """How many times larger keypoints are looked for in such an image, at most."""
 
 
-def look_less_closely() -> None:
+def enlarge_less() -> None:
     """Have this process look for keypoints in small images without enlarging them as far as it would."""
     local_features = importlib.import_module("worker.description.local_features").local_features
 

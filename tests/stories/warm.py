@@ -11,7 +11,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from lab.faults.process import PRELOADED
-from tests.small_images import look_less_closely
+from tests.small_images import enlarge_less
 
 _forked = multiprocessing.get_context("forkserver")
 _forked.set_forkserver_preload([*PRELOADED, "boto3", "onnxruntime", "psycopg", "torch"])
@@ -34,7 +34,7 @@ def _run(command: str, environment: Mapping[str, str], writing: Connection) -> N
     sys.stderr = os.fdopen(2, "w", buffering=1, closefd=False)
     os.environ.clear()
     os.environ.update(environment)
-    look_less_closely()
+    enlarge_less()
     sys.exit(importlib.import_module("app.cli.__main__").main([command]))
 
 
