@@ -85,8 +85,8 @@ class DescribeJobs(Protocol):
         """Put back jobs of a worker, to describe or of maps, that it does not hold; returns how many."""
         ...
 
-    def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
-        """Claim the oldest waiting job of a map."""
+    def claim_map_job(self, worker: str, now: datetime, able: Callable[[DescriptionRecipe], bool]) -> MapClaim | None:
+        """Claim the oldest waiting job of a map that needs no recipe which the worker cannot describe by."""
         ...
 
 
@@ -274,7 +274,7 @@ class Loop:
 
     def _work_on_maps(self) -> None:
         """Run a job of a map, or prune, or compare views."""
-        claim = self._jobs.claim_map_job(self._name, _now())
+        claim = self._jobs.claim_map_job(self._name, _now(), self._describers.has)
         if claim is not None:
             with bound(job_id=claim.job_id, map=claim.map):
                 self._map_jobs[claim.kind](claim, self._stopping.is_set)

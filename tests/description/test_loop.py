@@ -25,7 +25,7 @@ class Disk:
     def take_back(self, worker: str, held: Any, *, describe: bool) -> int:
         return 0
 
-    def claim_map_job(self, worker: str, now: object) -> None:
+    def claim_map_job(self, worker: str, now: object, able: object) -> None:
         return None
 
     def image(self, view_id: str) -> bytes:
@@ -82,7 +82,7 @@ class Unsure:
         self._claim(True)
         return []
 
-    def claim_map_job(self, worker: str, now: object) -> None:
+    def claim_map_job(self, worker: str, now: object, able: object) -> None:
         self._claim(False)
 
     def take_back(self, worker: str, held: Any, *, describe: bool) -> int:
@@ -117,7 +117,7 @@ class Shortage:
         view = SimpleNamespace(id="view", image=SimpleNamespace(sha256="0"))
         return [SimpleNamespace(job_id="job", view=view, attempts=self.attempts)]
 
-    def claim_map_job(self, worker: str, now: object) -> None:
+    def claim_map_job(self, worker: str, now: object, able: object) -> None:
         return None
 
     def image(self, view_id: str) -> bytes:

@@ -104,6 +104,28 @@ def test_a_vocabulary_is_trained_under_a_claim_and_described_by_as_one_job(store
     assert store.maps.get("campus").ranking == RECIPE.ranking
 
 
+def test_a_worker_leaves_jobs_of_recipes_that_it_cannot_describe_by(store: SqlStore) -> None:
+    campus_of_two(store)
+    training = store.jobs.queue_vocabulary("campus", NOW)
+    enroll(store, "elsewhere", map="other")
+    describe_all(store)
+    store.jobs.begin_shadow("other", PAPER, 5, NOW)
+    describe_all(store)
+    snapshot = store.jobs.queue_snapshot("campus", NOW)
+
+    taken = store.jobs.claim_map_job("one", NOW, lambda recipe: False)
+    assert taken is not None
+    assert taken.job_id == snapshot.id, "it needs no description"
+    assert store.jobs.claim_map_job("one", NOW, lambda recipe: False) is None
+
+    shadow = store.jobs.claim_map_job("one", NOW, lambda recipe: recipe == PAPER.description)
+    assert shadow is not None
+    assert (shadow.kind, shadow.map) == ("shadow", "other")
+    last = store.jobs.claim_map_job("two", NOW)
+    assert last is not None
+    assert last.job_id == training.id
+
+
 def test_training_whose_worker_died_is_taken_up_by_another_thrice(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.queue_vocabulary("campus", NOW)

@@ -51,6 +51,8 @@ def test_a_map_is_carried_over_to_another_encoder_and_back(tmp_path: Path) -> No
         for wait in ("true", "false"):
             sent = client.post(f"/enroll?wait={wait}", content=photo(scene("quay")), headers=JPEG)
             assert (sent.status_code, sent.json()["type"]) == refused[0]
+        training = client.post("/maps/default/vocabulary")
+        assert (training.status_code, training.json()["type"]) == refused[0]
         recording = client.post("/maps/default/imports", content=zipped(photos(2)), headers=ZIP)
         assert (recording.status_code, recording.json()["type"]) == refused[0]
         assert client.get("/maps/default").json()["views"] == {"pending": 0, "ready": len(PLACES), "failed": 0}

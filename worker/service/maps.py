@@ -260,7 +260,8 @@ class MapService:
         )
 
     def train_vocabulary(self, name: str) -> JobRecord:
-        """Train a vocabulary on a map's views, then describe them with it; raises NotFound, Conflict."""
+        """Train a vocabulary on a map's views, then describe them with it; raises NotFound, Conflict, SetupError."""
+        self._describers.of(self._maps.get(name).description)
         job = self._jobs.queue_vocabulary(name, datetime.now(UTC))
         self._wake()
         return job

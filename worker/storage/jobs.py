@@ -45,12 +45,15 @@ _JOB_ENDS = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of"))
 _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 
 
+def any_recipe(recipe: DescriptionRecipe) -> bool:
+    """True: of a worker that can describe by every recipe."""
+    return True
+
+
 class Jobs(Part):
     """The queue of describe jobs."""
 
-    def claim(
-        self, worker: str, count: int, able: Callable[[DescriptionRecipe], bool] = lambda recipe: True
-    ) -> list[Claim]:
+    def claim(self, worker: str, count: int, able: Callable[[DescriptionRecipe], bool] = any_recipe) -> list[Claim]:
         """Claim up to `count` of the oldest jobs that wait.
 
         A job stays claimed until it ends or its worker is found dead (see workers.py). Enrolments, whose callers may

@@ -21,9 +21,9 @@ from schemas.errors import Cancelled, Conflict, Damaged, LeaseLost, NotFound, Re
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import Failure, JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, deleted_images, forgetting, switching
-from worker.storage.jobs import ATTEMPTS, Jobs
+from worker.storage.jobs import ATTEMPTS, Jobs, any_recipe
 from worker.storage.paging import cursor_after, read_cursor
-from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, map_record, maps_named
+from worker.storage.rows import as_json, find_map, find_recipe, inserting, keep_recipe, log, map_record, maps_named
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 from worker.storage.vocabularies import keep_vocabulary
@@ -111,8 +111,13 @@ class MapJobs(Jobs):
 
     # claims
 
-    def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
-        """Claim the oldest job of a map that waits; a job at most three times."""
+    def claim_map_job(
+        self, worker: str, now: datetime, able: Callable[[DescriptionRecipe], bool] = any_recipe
+    ) -> MapClaim | None:
+        """Claim the oldest job of a map that waits; a job at most three times.
+
+        Jobs that describe by a recipe are left to others where this worker is not `able` to.
+        """
         waits = (JOBS.c.kind == "shadow") | (
             JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
         )
@@ -121,9 +126,15 @@ class MapJobs(Jobs):
             if connection.execute(mine).first() is None:
                 return None
         with self._database.writing(in_turn=False, durable=False) as connection:
-            job = connection.execute(mine.with_for_update(skip_locked=True)).one_or_none()
-            if job is None:
-                return None
+            left: list[int] = []
+            while True:
+                others = mine.where(JOBS.c.number.not_in(left)).with_for_update(skip_locked=True)
+                job = connection.execute(others).one_or_none()
+                if job is None:
+                    return None
+                if _can_be_done(connection, job, able):
+                    break
+                left.append(job.number)
             if job.attempts < ATTEMPTS:
                 token = secrets.token_hex(16)
                 held = {"state": "running", "worker": worker, "token": token}
@@ -252,6 +263,17 @@ class MapJobs(Jobs):
 
 _LEFT = {"snapshot": "no snapshot was made", "import": "what was imported before stays"}
 """What is left of a job that was cancelled, by its kind."""
+
+
+def _can_be_done(connection: sa.Connection, job: sa.Row[Any], able: Callable[[DescriptionRecipe], bool]) -> bool:
+    """Whether a worker that is `able` to describe by some recipes can do a job."""
+    if job.kind not in ("vocabulary", "shadow"):
+        return True  # what is imported or written is described by other jobs, or was
+    needed = job.recipe or connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id))
+    try:
+        return able(find_recipe(connection, str(needed)))
+    except Damaged:
+        return True  # the job fails of it, and says so
 
 
 def refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
