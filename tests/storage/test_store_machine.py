@@ -84,6 +84,8 @@ class ModelMap:
     def change_over_if_done(self) -> None:
         if self.following and not any(view.job(self.following) for view in self.views.values()):
             self.recipe, self.following = self.following, None
+            for view in self.views.values():
+                view.jobs = [job for job in view.jobs if job.recipe == self.recipe or job.token is not None]
 
 
 class StoreMachine(RuleBasedStateMachine):

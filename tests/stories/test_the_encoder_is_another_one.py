@@ -87,3 +87,21 @@ def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describ
             assert views() == {"pending": len(PLACES), "ready": 0, "failed": 0}
         with worker(tmp_path):
             until(lambda: views() == {"pending": 0, "ready": len(PLACES), "failed": 0})
+
+
+def test_photos_that_wait_for_an_encoder_that_is_gone_are_described_by_the_one_that_there_is(tmp_path: Path) -> None:
+    with (
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
+        for name in PLACES:
+            kept = client.post(f"/enroll?wait=false&place={name}", content=photo(scene(name)), headers=JPEG)
+            assert kept.status_code == 202
+    with (
+        RunningService(tmp_path, REVISIT_ENCODER="compact") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
+        assert client.get("/maps/default").json()["views"]["pending"] == len(PLACES)
+        describe_anew(client)
+        assert [place for place, _ in places(client)] == list(PLACES)
+        assert client.get("/jobs?state=waiting").json()["jobs"] == []

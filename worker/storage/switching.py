@@ -31,6 +31,8 @@ DISCARDED = "the map keeps the recipe that it has"
 
 GIVEN_ANOTHER = "the map was empty and was given another recipe"
 
+CHANGED_OVER = "the map has another recipe by now, by which the view is described"
+
 NO_IMAGES = (
     "the map {!r} keeps no images, so that its views can neither be described anew nor learned from; enrol the images "
     "in a map that has the recipe from the start"
@@ -248,6 +250,9 @@ def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: st
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**learned, **after))
     set_states(connection, map_id, recipe)
     end_jobs(connection, map_id, recipe, now)
+    # Those by the recipe before that nobody has begun: their encoder may no longer be there.
+    before = (JOBS.c.kind == "describe") & (JOBS.c.recipe != recipe) & (JOBS.c.state == "waiting")
+    _cancel(connection, map_id, before, now, CHANGED_OVER)
     return revision
 
 
