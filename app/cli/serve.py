@@ -2,12 +2,13 @@
 
 import argparse
 import logging
+import os
 import signal
 import socket
 import threading
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from app.cli import logs
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
@@ -25,6 +26,9 @@ log = logging.getLogger("revisit")
 
 LOOK_EVERY_S = 5.0
 """Seconds between looks whether a worker can still describe images."""
+
+LOOKS = 3
+"""Looks in a row that must find that it cannot: after the first one, it may have been the machine that stood still."""
 
 
 def add(verbs: Verbs) -> None:
@@ -202,19 +206,34 @@ def run_worker(arguments: argparse.Namespace) -> int:
         from worker.runtime import build
 
         runtime = build(settings, serving=False)
+
+        def on_signal(number: int, _: object) -> None:
+            """On the first signal stop in order, on the second at once: what it waits for may hang."""
+            if stop.is_set():
+                _end(f"stopped at once by a second {signal.Signals(number).name}")
+            stop.set()
+
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: stop.set())
+            signal.signal(number, on_signal)
         runtime.start()
         collecting_new()
     show(f"revisit worker describes images of {settings.data.resolve()} with {runtime.encoder.name}")
-    trouble = None
+    looks = 0
     try:
-        while trouble is None and not stop.wait(LOOK_EVERY_S):
+        while not stop.wait(LOOK_EVERY_S):
             trouble = runtime.beyond_help
+            looks = 0 if trouble is None else looks + 1
+            if looks == LOOKS:
+                runtime.attendance.stop()  # its jobs go back to the queue
+                _end(f"ends, so that it is started anew: {trouble}")
     finally:
         runtime.stop()  # finishes the images being encoded; the others go back to the queue
-    if trouble is not None:
-        log.critical("stopped, so that it is started anew: %s", trouble, extra={"event": "beyond_help"})
-        return FAILED
     log.info("stopped")
     return DONE
+
+
+def _end(why: str) -> NoReturn:
+    """End the process without waiting for its threads; what was acknowledged is on disk."""
+    log.critical(why, extra={"event": "ended_at_once"})
+    logging.shutdown()
+    os._exit(FAILED)

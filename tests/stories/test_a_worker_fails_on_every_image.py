@@ -1,7 +1,10 @@
-"""The encoder of a worker fails on every image, as on a GPU that is lost: it ends, and no photo is given up for it."""
+"""The encoder of a worker fails on every image or hangs, as on a GPU that is lost: no photo is given up for it."""
 
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -9,56 +12,100 @@ import pytest
 
 from tests.sample_images import photo
 from tests.stories.running import ROOT, RunningService, variables, worker
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.one_database("what a worker does with its images is the same on both")
 
+PHOTOS = 3
+
 ILL = """
-import sys
+import sys, threading
 import worker
 import app.cli.serve, worker.description.blame, worker.description.scheduler
 from app.cli.__main__ import main
 from worker.encoders.color import ColorEncoder
 
-def encode(self, images, *, urgent=False):
+def fails(self, images, *, urgent=False):
     raise RuntimeError("CUDA error: an illegal memory access was encountered")
 
-ColorEncoder.encode = encode
+def hangs(self, images, *, urgent=False):
+    print("it hangs", flush=True)
+    threading.Event().wait()
+
+ColorEncoder.encode = {how}
 app.cli.serve.LOOK_EVERY_S = 0.1
 worker.description.blame.REST_S = 0
-worker.description.scheduler.HOPELESS_S = 0.5
+worker.description.scheduler.HOPELESS_S = worker.description.scheduler.HANGS_S = {after_s}
 sys.exit(main(["worker"]))
 """
 
 
-def test_a_worker_that_fails_on_every_image_ends_and_another_describes_them(tmp_path: Path) -> None:
+@contextmanager
+def ill_worker(data: Path, how: str, after_s: float) -> Iterator["subprocess.Popen[str]"]:
+    """A worker whose encoder fails or hangs; it counts as beyond help after some seconds."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", ILL.format(how=how, after_s=after_s)],
+        env=variables(data),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[httpx.Client]:
+    """Of a service that has no worker, and photos that wait for one."""
     with (
-        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service,
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", REVISIT_LEASE_S="2") as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
-
-        def views() -> dict[str, int]:
-            counts: dict[str, int] = client.get("/maps/quay").json()["views"]
-            return counts
-
-        for number in range(3):
+        for number in range(PHOTOS):
             where = f"/enroll?map=quay&place=spot-{number}&wait=0"
             taken = client.post(where, content=photo(number), headers={"content-type": "image/jpeg"})
             assert taken.status_code == 202
+        yield client
 
-        ill = subprocess.run(
-            [sys.executable, "-c", ILL],
-            env=variables(tmp_path),
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
 
-        assert ill.returncode == 1, ill.stderr
-        assert "illegal memory access" in ill.stderr
-        assert "stopped, so that it is started anew: the encoder has failed on every image for" in ill.stderr
-        assert views() == {"pending": 3, "ready": 0, "failed": 0}
-        with worker(tmp_path):
-            until(lambda: views()["ready"] == 3)
+def views(client: httpx.Client) -> dict[str, int]:
+    counts: dict[str, int] = client.get("/maps/quay").json()["views"]
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [("fails", "the encoder has failed on every image for"), ("hangs", "the encoder has been at one image")],
+)
+def test_a_worker_that_can_describe_nothing_ends_and_another_describes_them(
+    client: httpx.Client, tmp_path: Path, how: str, why: str
+) -> None:
+    with ill_worker(tmp_path, how, 0.5) as process:
+        said, _ = process.communicate(timeout=PATIENCE_S)
+
+    assert process.returncode == 1, said
+    assert f"ends, so that it is started anew: {why}" in said
+    assert ("illegal memory access" in said) == (how == "fails")
+    assert views(client) == {"pending": PHOTOS, "ready": 0, "failed": 0}
+    with worker(tmp_path, REVISIT_LEASE_S="60"):  # it signed off: nobody waits for its lease
+        until(lambda: views(client)["ready"] == PHOTOS, 20)
+
+
+def test_a_worker_whose_encoder_hangs_ends_at_a_second_signal(client: httpx.Client, tmp_path: Path) -> None:
+    with ill_worker(tmp_path, "hangs", 3600) as process:
+        assert process.stdout is not None
+        until(lambda: "it hangs" in process.stdout.readline())
+        process.send_signal(signal.SIGTERM)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(2)
+        process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=10)
+
+    assert process.returncode == 1
+    assert "stopped at once by a second SIGTERM" in said
+    with worker(tmp_path, REVISIT_LEASE_S="2"):
+        until(lambda: views(client)["ready"] == PHOTOS)

@@ -28,6 +28,9 @@ log = logging.getLogger("revisit.scheduler")
 HOPELESS_S = 60.0
 """Seconds of failures on every image after which the encoder of this process is given up."""
 
+HANGS_S = 600.0
+"""Seconds with the same images after which it is given up: on a starved machine one may take minutes."""
+
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
@@ -106,6 +109,7 @@ class Scheduler:
         self._rest_until = 0.0
         self._away: EncoderAway | None = None
         self._away_since = self._away_last = 0.0
+        self._serving_since: float | None = None
         self._segmenter_away = False
         self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
@@ -145,6 +149,9 @@ class Scheduler:
         lasted_s = self._away_last - self._away_since
         if isinstance(self._away, EncoderFails) and lasted_s >= HOPELESS_S:
             return f"the encoder has failed on every image for {lasted_s:.0f} s"
+        since = self._serving_since
+        if since is not None and (lasted_s := time.monotonic() - since) >= HANGS_S:
+            return f"the encoder has been at one image for {lasted_s:.0f} s"
         return None
 
     @property
@@ -233,7 +240,9 @@ class Scheduler:
             batch = [first]
             while len(batch) < self._batch and (following := self._queue.get_alike(first)) is not None:
                 batch.append(following)
+            self._serving_since = time.monotonic()
             self._serve([r for r in batch if r.future.running() or r.future.set_running_or_notify_cancel()])
+            self._serving_since = None
 
     def _next(self) -> _Request:
         """The next request. While enrolments are held back for the encoder, others join them, and queries go on."""
