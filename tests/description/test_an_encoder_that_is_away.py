@@ -229,6 +229,21 @@ def test_an_encoder_that_fails_for_a_minute_is_beyond_help_until_it_encodes(monk
     assert scheduler.beyond_help == "the encoder's thread has ended"
 
 
+def test_an_encoder_that_hangs_for_minutes_is_beyond_help_until_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.description.scheduler.HANGS_S", 0.05)
+    encoder = GatedEncoder()
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    scheduler.start()
+    assert scheduler.beyond_help is None, "there is nothing to encode"
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    until(lambda: scheduler.beyond_help == "the encoder has been at one image for 0 s")
+
+    encoder.gate.release()
+    assert enrolment.result(PATIENCE_S).value == 1
+    until(lambda: scheduler.beyond_help is None)
+    scheduler.stop()
+
+
 def test_a_shared_encoder_that_is_away_is_not_beyond_the_help_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.description.scheduler.HOPELESS_S", 0.0)
     scheduler = Scheduler(AwayEncoder(), batch=1, queries=5)

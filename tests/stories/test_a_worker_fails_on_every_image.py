@@ -98,7 +98,7 @@ def test_a_worker_that_can_describe_nothing_ends_and_another_describes_them(
 def test_a_worker_whose_encoder_hangs_ends_at_a_second_signal(client: httpx.Client, tmp_path: Path) -> None:
     with ill_worker(tmp_path, "hangs", 3600) as process:
         assert process.stdout is not None
-        until(lambda: "it hangs" in process.stdout.readline())
+        assert any("it hangs" in line for line in process.stdout)
         process.send_signal(signal.SIGTERM)
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(2)
