@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 from schemas.description import Description
-from schemas.errors import EncoderAway, LeaseLost, PoorImage, RevisitError
+from schemas.errors import Busy, LeaseLost, PoorImage, RevisitError
 from schemas.image import Image
 from schemas.log_context import bound
 from schemas.recipe import DescriptionRecipe
@@ -315,10 +315,11 @@ class Loop:
         """Wait for the description of a job and store it, or end the job as failed; raises what storing raises."""
         try:
             description = item.future.result().value
-        except (EncoderAway, *STORAGE_ERRORS):
-            # The service stops (else the scheduler would have waited for the encoder), or the image cannot be read now:
-            # neither is a fault of the view.
+        except (Busy, *STORAGE_ERRORS):
+            # The service stops (else the scheduler would have waited for the encoder), or the image cannot be read or
+            # decoded now: none of them is a fault of the view.
             self._jobs.release(item.claim)
+            self._stopping.wait(IDLE_S)
             return
         except RevisitError as error:
             self._give_up(item.claim, error)

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from schemas.errors import BadImage, StorageFailed
+from schemas.errors import BadImage, Busy, StorageFailed, Unavailable
 from tests.waiting import until
 from worker.loop import Loop
 from worker.service.trouble import StoringTrouble
@@ -155,6 +155,28 @@ def test_what_nobody_foresaw_is_tried_three_times_before_a_view_fails(
         assert not jobs.failed
     else:
         assert jobs.failed == [("internal", "describing it failed (MemoryError); the service's log has the details")]
+
+
+@pytest.mark.parametrize("error", [Busy("all decoders are at work", 1), Unavailable("no process can be started", 5)])
+def test_a_view_does_not_fail_for_what_the_service_is_busy_with(error: Busy, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.loop.IDLE_S", 0.01)
+
+    class Crowded(Shortage):
+        def image(self, view_id: str) -> bytes:
+            raise error
+
+        def release(self, claim: Any) -> None:
+            self.released += 1
+            self.waits = True
+
+    jobs = Crowded(0)
+    loop = looping(jobs)
+    loop.start()
+    try:
+        until(lambda: jobs.released > 5)
+    finally:
+        loop.stop()
+    assert not jobs.failed
 
 
 def test_an_image_that_is_to_blame_fails_at_once() -> None:

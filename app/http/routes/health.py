@@ -38,7 +38,8 @@ PATIENCE_S = 0.2
 async def livez(lifecycle: Lifecycles) -> Response:
     """Whether the process answers, and a restart would not help.
 
-    It would where the encoder has failed on every image for a minute, or a thread has ended that describes them.
+    It would where the encoder has failed on every image for a minute or been at one for ten, or a thread has ended that
+    describes them.
     """
     return liveness(lifecycle.beyond_help())
 
