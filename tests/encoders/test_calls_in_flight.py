@@ -104,8 +104,13 @@ def test_a_lone_image_is_one_call_of_this_thread(server: InferenceServer, shared
 def test_a_call_that_fails_raises_in_the_place_of_its_first_image(
     server: InferenceServer, shared: SharedCompactEncoder, fails: int, before: int
 ) -> None:
+    sent = threading.Event()  # the first call: it would not be sent once the second has failed
+
     def one_fails(handler: Handler, tensors: dict[str, Tensor]) -> None:
         first = np.array_equal(tensors["pictures"][0], SENT_FIRST)
+        if first:
+            sent.set()
+        assert sent.wait(30)
         (says(503) if first == (fails == 0) else server.right)(handler, tensors)
 
     server.answer = one_fails
