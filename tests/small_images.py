@@ -5,6 +5,8 @@ done with them.
 """
 
 import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from schemas.description import LocalFeatures
 from schemas.image import Bytes2D
@@ -16,14 +18,27 @@ TIMES = 3
 """How many times larger keypoints are looked for in such an image, at most."""
 
 
+DESCRIBER = importlib.import_module("worker.description.describer")
+AS_THE_SERVICE_DOES = DESCRIBER.local_features
+
+
 def enlarge_less() -> None:
     """Have this process look for keypoints in small images without enlarging them as far as it would."""
-    local_features = importlib.import_module("worker.description.local_features").local_features
 
     def found(pixels: Bytes2D, keypoints: int, longer_side: int, equalised: bool) -> LocalFeatures:
         size = max(pixels.shape[:2])
         side = min(longer_side, TIMES * size) if size <= LARGEST else longer_side
-        features: LocalFeatures = local_features(pixels, keypoints, side, equalised)
+        features: LocalFeatures = AS_THE_SERVICE_DOES(pixels, keypoints, side, equalised)
         return features
 
-    importlib.import_module("worker.description.describer").local_features = found  # type: ignore[attr-defined]
+    DESCRIBER.local_features = found  # type: ignore[attr-defined]
+
+
+@contextmanager
+def enlarging_as_the_service_does() -> Iterator[None]:
+    """Context manager: small images too are enlarged as far as the service does it."""
+    DESCRIBER.local_features = AS_THE_SERVICE_DOES  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        enlarge_less()

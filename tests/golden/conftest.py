@@ -8,6 +8,14 @@ from tests.golden.comparing import CLOSE, EXACT, SIMILAR, Tolerance, differences
 from tests.golden.descriptions import DESCRIBED
 from tests.golden.gallery import Gallery
 from tests.golden.record import Golden, read
+from tests.small_images import enlarging_as_the_service_does
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_images_too() -> Iterator[None]:
+    """Nothing is spared here, of small images either."""
+    with enlarging_as_the_service_does():
+        yield
 
 
 @pytest.fixture(scope="session")
