@@ -208,6 +208,15 @@ class Loop:
         if self._map_thread.is_alive():  # a job in a long step goes back when this worker signs off
             self._map_thread.join(MAP_JOB_PATIENCE_S)
 
+    def leave(self) -> None:
+        """Claim no more, and put all jobs back without counting the attempts; waits for nothing that may hang."""
+        self._stopping.set()
+        try:
+            for describe in (True, False):
+                self._jobs.take_back(self._name, (), describe=describe)
+        except RevisitError as error:
+            log.warning("this worker's jobs go back once its lease has ended: %s", error)
+
     def run(self) -> None:
         """Describe images until `stop`; an error with one image fails that image's job, never the loop."""
         underway: list[_Underway] = []

@@ -224,7 +224,7 @@ def run_worker(arguments: argparse.Namespace) -> int:
             trouble = runtime.beyond_help
             looks = 0 if trouble is None else looks + 1
             if looks == LOOKS:
-                runtime.attendance.stop()  # its jobs go back to the queue
+                runtime.leave()
                 _end(f"ends, so that it is started anew: {trouble}")
     finally:
         runtime.stop()  # finishes the images being encoded; the others go back to the queue

@@ -122,7 +122,8 @@ class Tab:
             heard = list(self.complaints)
             self.page.unroute_all(behavior="ignoreErrors")
             self.page.context.close()
-            assert heard == []
+            self.complaints = heard
+        assert self.complaints == []
 
 
 @pytest.fixture(scope="module")

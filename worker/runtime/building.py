@@ -78,6 +78,12 @@ class Runtime(Parts):
             return "a thread of the worker has ended"
         return self.scheduler.beyond_help
 
+    def leave(self) -> None:
+        """Put jobs back and sign off, before the process ends without `stop`: what that waits for may hang."""
+        if self.loop is not None:
+            self.loop.leave()
+        self.attendance.stop()
+
     def decode(self, data: bytes) -> Image:
         """Bytes to Image; raises BadImage."""
         return self.decoder.decode(data)

@@ -185,7 +185,7 @@ class EncodingService:
             self._waiting[urgent] -= count
 
     def check(self, patience_s: float) -> str:
-        """``ok`` once a small image was encoded, or why it was not."""
+        """``ok`` once an image was encoded, or why it was not."""
         return tried(self._scheduler, patience_s)
 
 
