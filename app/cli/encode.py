@@ -85,4 +85,5 @@ def _encode(settings: "Settings", listening: socket.socket) -> int:
             f"  segmenter {shared.service.segmenting_model or 'none'}\n"
             f"  nodes     REVISIT_ENCODER_URL={url}"
         ),
+        beyond_help=shared.beyond_help,
     )

@@ -69,10 +69,12 @@ def serve_until_stopped(
     *,
     drain: Callable[[], None],
     announce: Callable[[], None],
+    beyond_help: Callable[[], str | None],
+    leave: Callable[[], None] = lambda: None,
 ) -> int:
-    """Serve on a port that is bound until SIGINT or SIGTERM; returns the exit code.
+    """Serve on a port that is bound until SIGINT or SIGTERM, or only a restart helps; returns the exit code.
 
-    `what` it is, for the message that it could not start; `drain` and `announce` as `app.http.server.Server` has them.
+    `what` it is, for the message that it could not start; the others as `app.http.server.Server` has them.
     """
     from app.http.server import Server, configured
 
@@ -84,10 +86,10 @@ def serve_until_stopped(
         collecting_new()
         announce()
 
-    server = Server(configured(app, settings), settings.grace_s, drain=drain, announce=ready)
+    server = Server(configured(app, settings), settings.grace_s, drain, ready, beyond_help, leave)
     server.run(sockets=[listening])
     if not server.started:
         say(f"revisit: the {what} could not start; the reason is above")
         return FAILED
     log.info("stopped")
-    return DONE
+    return FAILED if server.gave_up else DONE

@@ -94,7 +94,7 @@ def refuse_missing(settings: "Settings", what_makes_one: str) -> None:
 
 
 def run_serve(arguments: argparse.Namespace) -> int:
-    """Serve until SIGINT or SIGTERM."""
+    """Serve until SIGINT or SIGTERM, or until only another process can: a supervisor starts that."""
     check_processor()
     settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
     _refuse_open(settings)
@@ -165,6 +165,8 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
         "service",
         drain=service.lifecycle.drain,
         announce=lambda: announce(runtime, url),
+        beyond_help=service.lifecycle.beyond_help,
+        leave=runtime.leave,
     )
 
 

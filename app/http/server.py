@@ -33,6 +33,15 @@ STAY_S = 0.5
 ACCEPT_S = 0.1
 """Seconds to accept the callers that were connecting when the port is closed."""
 
+LOOK_EVERY_S = 30.0
+"""Seconds between looks whether only a restart helps."""
+
+LOOKS = 10
+"""Looks in a row that must find so before the process ends: a supervisor that asks ``/livez`` has acted before."""
+
+PARTING_S = 10.0
+"""Seconds that an end for that reason takes at most, once callers have their answers: what it waits for may hang."""
+
 _SO_ATTACH_FILTER = 26
 """`asm-generic/socket.h`; Python does not name it."""
 
@@ -66,13 +75,26 @@ class Server(uvicorn.Server):
         Called when the signal has come, before any request is broken off.
     announce : callable
         Called once the port is open.
+    beyond_help : callable
+        What only a restart mends, in words, or None. After `LOOKS` looks that found the same, the server stops.
+    leave : callable
+        Called, in a thread, where such a stop does not end: puts back what others can do.
     """
 
     def __init__(
-        self, config: uvicorn.Config, grace_s: float, drain: Callable[[], None], announce: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        grace_s: float,
+        drain: Callable[[], None],
+        announce: Callable[[], None],
+        beyond_help: Callable[[], str | None] = lambda: None,
+        leave: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(config)
         self._grace_s, self._drain, self._announce = grace_s, drain, announce
+        self._beyond_help, self._leave = beyond_help, leave
+        self.gave_up = False
+        """Whether it stopped because only a restart helps."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start the application, open the port and say so."""
@@ -82,6 +104,17 @@ class Server(uvicorn.Server):
         await super().startup(sockets=sockets)
         if self.started:
             self._announce()
+            self._watching = asyncio.create_task(self._watch())
+
+    async def _watch(self) -> None:
+        """Stop once only a restart helps: not every supervisor asks ``/livez``, but all see a process end."""
+        looks, trouble = 0, None
+        while looks < LOOKS:
+            await asyncio.sleep(LOOK_EVERY_S)
+            trouble = self._beyond_help()
+            looks = 0 if trouble is None else looks + 1
+        log.critical("ends, so that it is started anew: %s", trouble, extra={"event": "gave_up"})
+        self.gave_up = self.should_exit = True
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """On the first signal stop in order, on the second at once."""
@@ -91,6 +124,7 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Refuse what is new, finish what is under way, then close."""
+        self._watching.cancel()
         loop = asyncio.get_running_loop()
         until = loop.time() + self._grace_s
         under_way = set(self.server_state.tasks)
@@ -107,16 +141,19 @@ class Server(uvicorn.Server):
                 task.cancel()
             await asyncio.wait(late, timeout=LAST_ANSWERS_S)
         ending = asyncio.ensure_future(super().shutdown(sockets))
-        while not ending.done() and not self.force_exit:
+        last = loop.time() + PARTING_S if self.gave_up else float("inf")
+        while not ending.done() and not self.force_exit and loop.time() < last:
             await asyncio.wait({ending}, timeout=0.1)
-        if not self.force_exit:
-            await ending
-        else:
+        if ending.done() and not self.force_exit:
+            return await ending
+        if self.force_exit:
             await asyncio.wait({ending}, timeout=STAY_S)  # it waits for nobody now, or for work that may hang
             log.warning("stopped at once by a second %s", signal.Signals(self._captured_signals[-1]).name)
-            # Threads at work would delay a regular end; what was acknowledged is on disk.
-            logging.shutdown()
-            os._exit(1)
+        else:
+            await asyncio.wait({asyncio.ensure_future(asyncio.to_thread(self._leave))}, timeout=PARTING_S)
+        # Threads at work would delay a regular end; what was acknowledged is on disk.
+        logging.shutdown()
+        os._exit(1)
 
     async def _close_port(self, sockets: list[socket.socket]) -> None:
         """Close the port so that nobody who has connected is reset: closing resets what waits to be accepted."""

@@ -1,4 +1,4 @@
-"""The encoder of a worker fails on every image or hangs, as on a GPU that is lost: no photo is given up for it."""
+"""An encoder fails on every image or hangs, as on a GPU that is lost: its process ends, and no photo is given up."""
 
 import signal
 import subprocess
@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from tests.sample_images import photo
-from tests.stories.running import ROOT, RunningService, variables, worker
+from tests.stories.running import ROOT, RunningEncoder, RunningService, variables, worker
 from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.one_database("what a worker does with its images is the same on both")
@@ -21,9 +21,10 @@ PHOTOS = 3
 ILL = """
 import sys, threading
 import worker
-import app.cli.serve, worker.description.blame, worker.description.scheduler
+import app.cli.serve, app.http.server, worker.description.blame, worker.description.scheduler
 from app.cli.__main__ import main
 from worker.encoders.color import ColorEncoder
+from worker.encoders.compact.encoder import CompactEncoder
 
 def fails(self, images, *, urgent=False):
     raise RuntimeError("CUDA error: an illegal memory access was encountered")
@@ -32,19 +33,21 @@ def hangs(self, images, *, urgent=False):
     print("it hangs", flush=True)
     threading.Event().wait()
 
-ColorEncoder.encode = {how}
-app.cli.serve.LOOK_EVERY_S = 0.1
+ColorEncoder.encode = CompactEncoder.encode = {how}
+app.cli.serve.LOOK_EVERY_S = app.http.server.LOOK_EVERY_S = 0.1
+app.http.server.PARTING_S = 2
 worker.description.blame.REST_S = 0
 worker.description.scheduler.HOPELESS_S = worker.description.scheduler.HANGS_S = {after_s}
-sys.exit(main(["worker"]))
+sys.exit(main(sys.argv[-1:]))
 """
+"""A process of revisit whose encoder fails or hangs; it counts as beyond help after some seconds."""
 
 
 @contextmanager
 def ill_worker(data: Path, how: str, after_s: float) -> Iterator["subprocess.Popen[str]"]:
-    """A worker whose encoder fails or hangs; it counts as beyond help after some seconds."""
+    """A worker of that kind."""
     process = subprocess.Popen(
-        [sys.executable, "-c", ILL.format(how=how, after_s=after_s)],
+        [sys.executable, "-c", ILL.format(how=how, after_s=after_s), "worker"],
         env=variables(data),
         cwd=ROOT,
         stdout=subprocess.PIPE,
@@ -58,6 +61,24 @@ def ill_worker(data: Path, how: str, after_s: float) -> Iterator["subprocess.Pop
         process.communicate()
 
 
+class Failing(RunningService):
+    """A service of that kind."""
+
+    within = (sys.executable, "-c", ILL.format(how="fails", after_s=0.5))
+
+
+class Hanging(RunningService):
+    """Another."""
+
+    within = (sys.executable, "-c", ILL.format(how="hangs", after_s=0.5))
+
+
+class FailingEncoder(RunningEncoder):
+    """An encoder for several nodes."""
+
+    within = Failing.within
+
+
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[httpx.Client]:
     """Of a service that has no worker, and photos that wait for one."""
@@ -65,11 +86,15 @@ def client(tmp_path: Path) -> Iterator[httpx.Client]:
         RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", REVISIT_LEASE_S="2") as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
-        for number in range(PHOTOS):
-            where = f"/enroll?map=quay&place=spot-{number}&wait=0"
-            taken = client.post(where, content=photo(number), headers={"content-type": "image/jpeg"})
-            assert taken.status_code == 202
+        enrol_photos(client)
         yield client
+
+
+def enrol_photos(client: httpx.Client) -> None:
+    for number in range(PHOTOS):
+        where = f"/enroll?map=quay&place=spot-{number}&wait=0"
+        taken = client.post(where, content=photo(number), headers={"content-type": "image/jpeg"})
+        assert taken.status_code == 202
 
 
 def views(client: httpx.Client) -> dict[str, int]:
@@ -111,3 +136,29 @@ def test_a_worker_whose_encoder_hangs_ends_at_a_second_signal(client: httpx.Clie
     assert "stopped at once by a second SIGTERM" in said
     with worker(tmp_path, REVISIT_LEASE_S="2"):
         until(lambda: views(client)["ready"] == PHOTOS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [(Failing, "the encoder has failed on every image for"), (Hanging, "the encoder has been at one image for")],
+)
+def test_a_service_that_can_describe_nothing_ends_and_the_next_one_describes_what_it_took(
+    tmp_path: Path, kind: type[RunningService], why: str
+) -> None:
+    with kind(tmp_path, False) as service:
+        with httpx.Client(base_url=service.url, timeout=60) as client:
+            enrol_photos(client)
+
+        assert service.wait() == 1
+    said = "".join(service.output)
+    assert f"ends, so that it is started anew: {why}" in said
+    with RunningService(tmp_path) as service, httpx.Client(base_url=service.url, timeout=60) as client:
+        until(lambda: views(client) == {"pending": 0, "ready": PHOTOS, "failed": 0})
+
+
+def test_a_shared_encoder_that_can_encode_nothing_ends() -> None:
+    with FailingEncoder(0, False) as encoder:
+        assert httpx.get(f"{encoder.url}/readyz", timeout=60).status_code == 503
+
+        assert encoder.wait() == 1
+    assert "ends, so that it is started anew: the encoder has failed on every image for" in "".join(encoder.output)
