@@ -13,7 +13,7 @@ import httpx
 import pytest
 from hypothesis import settings
 
-from tests import NUMPY_SPLITS_SUMS
+from tests import NUMPY_SPLITS_SUMS, drawn_once
 from tests.small_images import enlarge_less
 
 # A busy machine is slow, not wrong.
@@ -70,7 +70,8 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 def pytest_configure(config: pytest.Config) -> None:
     """Refuse to compare bits that depend on the number of cores; spare what would be done thousands of times.
 
-    Each client of httpx would read the certificates for HTTPS anew, for 30 ms. Of small images: `enlarge_less`.
+    Each client of httpx would read the certificates for HTTPS anew, for 30 ms. Of small images: `enlarge_less`; of
+    scenes: `drawn_once`.
     """
 
     @cache
@@ -82,8 +83,17 @@ def pytest_configure(config: pytest.Config) -> None:
 
     pytest.MonkeyPatch().setattr("httpx._transports.default.create_ssl_context", context)
     enlarge_less()
+    if not hasattr(config, "workerinput"):  # of pytest-xdist: in its processes alone
+        drawn_once.make_folder()
+    drawn_once.draw_once()
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
         raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove the scenes."""
+    if not hasattr(config, "workerinput"):
+        drawn_once.remove_folder()
 
 
 @pytest.fixture(scope="session")
