@@ -14,6 +14,7 @@ import pytest
 from hypothesis import settings
 
 from tests import NUMPY_SPLITS_SUMS, drawn_once
+from tests.compiled_once import compile_once
 from tests.small_images import enlarge_less
 
 # A busy machine is slow, not wrong.
@@ -56,9 +57,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Garbage is looked for among what tests make, not among all that was imported: a tenth of the time."""
+    """Garbage is looked for among what tests make, not among all that was imported: a tenth of the time.
+
+    Nor while it is imported (`pytest_configure`), of which that was a third.
+    """
     gc.freeze()
     gc.set_threshold(20_000, 20, 50)
+    gc.enable()
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
@@ -74,6 +79,8 @@ def pytest_configure(config: pytest.Config) -> None:
     scenes: `drawn_once`.
     """
 
+    gc.disable()
+
     @cache
     def read(files: tuple[str | None, ...], **said: Any) -> ssl.SSLContext:
         return httpx.create_ssl_context(**said)
@@ -86,6 +93,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):  # of pytest-xdist: in its processes alone
         drawn_once.make_folder()
     drawn_once.draw_once()
+    compile_once()
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
         raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")
 

@@ -20,6 +20,7 @@ from schemas.errors import DiskFull, NotFound, StorageFailed
 from schemas.inbox import QueryToKeep
 from schemas.map_changes import MapChanges
 from schemas.records import Filters, Replay, ViewAttributes
+from tests.compiled_once import compile_once
 from tests.failing_writes import FailingWrites
 from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, facts, finish, image, recipe
@@ -166,6 +167,7 @@ def tried(name: str, operation: Operation, template: Path, scratch: Path, faults
 
 def main(folder: Path, failure: int) -> None:
     """Try every operation below a folder, with writes that fail with an errno."""
+    compile_once()
     faults = FailingWrites({}, Path(os.environ["FAULTS_CONTROL"]))
     template = folder / "template"
     template.mkdir()
