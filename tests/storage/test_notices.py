@@ -70,6 +70,19 @@ def test_each_hears_of_work_and_of_views_and_those_of_another_schema_do_not(url:
         assert (a.next(), b.next()) == ("v3", "v3")
 
 
+def test_one_that_ends_does_not_wait_until_it_looks_again_and_tells_others_nothing(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notices, "LISTENS_S", 4 * SOON_S)
+    monkeypatch.setattr(notices, "AGAIN_S", SOON_S)  # how long it waits for its threads
+    with hearing(url) as other:
+        with hearing(url):
+            began = time.monotonic()
+        assert time.monotonic() - began < SOON_S
+        other.notices.work()
+        assert other.next() == "work"
+
+
 def test_many_at_once_are_told_in_few_notices(url: str) -> None:
     views = {f"0195f2a4-7c1e-7b3a-9d52-{number:012}" for number in range(1000)}
     with hearing(url) as a, hearing(url) as b:

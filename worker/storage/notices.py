@@ -15,6 +15,7 @@ from worker.storage.peers import SCHEMA
 log = logging.getLogger("revisit")
 
 WORK = "work"
+NOTHING = ""
 
 LISTENS_S = 1.0
 """Seconds after which a listener looks whether it should end."""
@@ -57,7 +58,7 @@ class Notices:
             if text == WORK:
                 if on_work is not None:
                     on_work()
-            elif on_settled is not None:
+            elif text != NOTHING and on_settled is not None:
                 for view_id in text.split(","):
                     on_settled(view_id)
 
@@ -117,11 +118,12 @@ class Notices:
             with self._lock:
                 work, settled = self._work, self._settled
                 self._work, self._settled = False, []
-            texts = [WORK] * work + _joined(settled)
+            ended = self._ended.is_set()
+            texts = [WORK] * work + _joined(settled) + [NOTHING] * ended  # its own listener hears that it may end
             for text in texts:
                 told = sa.text("SELECT pg_notify(:channel, :text)")
                 connection.execute(told, {"channel": channel, "text": text})
-            if self._ended.is_set():
+            if ended:
                 return
 
     def _listen(self, connection: sa.Connection, channel: str, receive: Callable[[str], None]) -> None:
@@ -133,6 +135,8 @@ class Notices:
             while not self._ended.is_set():
                 for notice in driver.notifies(timeout=LISTENS_S):
                     receive(notice.payload)
+                    if self._ended.is_set():
+                        return
         except Exception as error:  # of psycopg, past SQLAlchemy
             raise sa.exc.DBAPIError("LISTEN", None, error) from error
         finally:
