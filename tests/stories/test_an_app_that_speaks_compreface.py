@@ -8,6 +8,7 @@ CompreFace's REST API (docs/Rest-API-description.md of its repository).
 import base64
 import json
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,13 @@ from tests.stories.running import ROOT, RunningService
 from tests.stories.shown import answers_of
 
 BOUNDARY = "c0ffee5f1d0c4a3f8a0e6a5ad6b0c1d2"
+TOWNS = count(1)
 
 
 class App:
     """Sends what CompreFace's client sends."""
 
-    def __init__(self, client: httpx.Client, name: str = "town") -> None:
+    def __init__(self, client: httpx.Client, name: str) -> None:
         self.base = f"/compat/compreface/{name}/api/v1/recognition"
         self.client = client
 
@@ -45,14 +47,17 @@ class App:
         return self.client.request(method, self.base + path, content=content, headers=headers)
 
 
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
+    with RunningService(tmp_path_factory.mktemp("towns"), REVISIT_COMPARE="false") as one:
+        yield one
+
+
 @pytest.fixture
-def app(tmp_path: Path) -> Iterator[App]:
+def app(service: RunningService) -> Iterator[App]:
     key = {"x-api-key": "none is asked for"}
-    with (
-        RunningService(tmp_path, REVISIT_COMPARE="false") as service,
-        httpx.Client(base_url=service.url, headers=key, timeout=30) as client,
-    ):
-        app = App(client)
+    with httpx.Client(base_url=service.url, headers=key, timeout=30) as client:
+        app = App(client, f"town-{next(TOWNS)}")
         for number in range(3):
             for taken in range(2):
                 added = app.image(f"/faces?subject=gate {number}&det_prob_threshold=0.8", photo(10 * number + taken))
@@ -151,7 +156,7 @@ def test_the_calls_of_the_page_work_and_an_image_is_an_example_of_one_subject(ap
 
 
 def test_a_base_url_without_a_map_means_the_default_one(app: App) -> None:
-    bare = App(app.client)
+    bare = App(app.client, "")
     bare.base = "/compat/compreface/api/v1/recognition"
     assert bare.json("GET", "/subjects/").status_code == 404  # there is no map yet
     added = bare.image("/faces?subject=gate", photo(1)).json()
