@@ -92,16 +92,11 @@ def pytest_configure(config: pytest.Config) -> None:
     enlarge_less()
     if not hasattr(config, "workerinput"):  # of pytest-xdist: in its processes alone
         drawn_once.make_folder()
+        config.add_cleanup(drawn_once.remove_folder)
     drawn_once.draw_once()
     compile_once()
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
         raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")
-
-
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """Remove the scenes."""
-    if not hasattr(config, "workerinput"):
-        drawn_once.remove_folder()
 
 
 @pytest.fixture(scope="session")
