@@ -52,14 +52,17 @@ def test_while_the_encoder_is_away_queries_are_told_and_enrolments_wait() -> Non
     scheduler.stop()
 
 
-def test_a_query_that_gets_through_lets_the_enrolments_go_too() -> None:
-    class OnceAway(AwayEncoder):
-        def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
-            if not self.there:
-                raise EncoderAway("away for an hour", 3600)
-            yield from super().encode(images)
+class LongAway(AwayEncoder):
+    """One that need not be tried again soon."""
 
-    encoder = OnceAway()
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        if not self.there:
+            raise EncoderAway("away for an hour", 3600)
+        yield from super().encode(images)
+
+
+def test_a_query_that_gets_through_lets_the_enrolments_go_too() -> None:
+    encoder = LongAway()
     scheduler = Scheduler(encoder, batch=1, queries=5)
     scheduler.start()
     enrolment = scheduler.submit(image(1), number_of, urgent=False)
@@ -80,6 +83,20 @@ def test_stopping_does_not_wait_for_an_encoder_that_is_away() -> None:
     scheduler.stop()
 
     assert [type(one.exception(PATIENCE_S)) for one in enrolments] == [EncoderAway, EncoderAway]
+
+
+def test_where_nobody_has_time_to_wait_what_was_held_back_fails_at_once() -> None:
+    scheduler = Scheduler(LongAway(), batch=1, queries=5)
+    scheduler.start()
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=True).result(PATIENCE_S)
+    assert not enrolment.done()
+
+    scheduler.stop_waiting()
+
+    assert type(enrolment.exception(PATIENCE_S)) is EncoderAway
+    scheduler.stop()
 
 
 def test_an_image_that_is_to_be_blurred_does_not_wait_for_an_encoder_that_is_away() -> None:

@@ -61,3 +61,16 @@ def test_an_enrolment_is_never_passed_over_for_a_newer_one() -> None:
     for number in range(4):
         turns.put(Call(ENROLMENT, number, gone=number == 0))
     assert order(turns) == [1, 2, 3]
+
+
+def test_who_is_woken_finds_nothing_or_what_came_meanwhile() -> None:
+    turns: Turns[Waiting] = Turns()
+    turns.wake()
+    turns.wake()
+    assert turns.get() is None
+    turns.put(Waiting(QUERY, 1))
+
+    assert turns.get() == Waiting(QUERY, 1)
+    assert turns.get() is None
+    assert turns.get_alike(Waiting(QUERY, 2)) is None
+    assert turns.get(0) is None

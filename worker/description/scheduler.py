@@ -166,6 +166,7 @@ class Scheduler:
     def stop_waiting(self) -> None:
         """From now on enrolments, too, fail with EncoderAway while the encoder is away: nobody has time to wait."""
         self._waits = False
+        self._queue.wake()  # for those that are held back until it is tried again
 
     def stop(self) -> None:
         """Finish all submitted images, then stop."""

@@ -61,12 +61,16 @@ class Turns(Generic[R]):
             insort(self._requests[request.urgency], request)
         self._count.release()
 
+    def wake(self) -> None:
+        """Have `get` return, though nothing may be there to do."""
+        self._count.release()
+
     def get(self, timeout_s: float | None = None) -> R | None:
-        """The next request; None when there was none for so many seconds."""
+        """The next request; None when there was none for so many seconds, or after `wake`."""
         if not self._count.acquire(timeout=timeout_s):
             return None
         with self._lock:
-            return self._take(self._turn())
+            return self._take(self._turn()) if any(self._requests.values()) else None
 
     def get_alike(self, request: R) -> R | None:
         """The next request if there is one and it is as urgent: it can join the batch."""
