@@ -8,18 +8,32 @@ from schemas.image import Bytes2D
 LONGEST = 480
 """Pixels to which the longer side is resized; small images are enlarged, since labels depend on the scale."""
 
+ENLARGED = 3.6
+"""The smallest images are enlarged no more than so many times: further on, cells show what interpolation makes up."""
+
+LEAST = 352
+"""Pixels to which the longer side is resized at least, so that the field has a cell for each of the cells compared."""
+
 MULTIPLE = 32
 """Sides of the input are multiples of this many pixels, so that images need no padding."""
 
 
-def network_size(width: int, height: int, longest: float = LONGEST) -> tuple[int, int]:
-    """Input (width, height) for an image: longer side about `longest`, both at least 96 and multiples of `MULTIPLE`."""
-    scale = longest / max(width, height)
+def longer_side(width: int, height: int) -> float:
+    """Pixels that the longer side of an image should have in the input, from `LEAST` to `LONGEST`."""
+    return min(LONGEST, max(LEAST, ENLARGED * max(width, height)))
+
+
+def network_size(width: int, height: int, longest: float | None = None) -> tuple[int, int]:
+    """Input (width, height) for an image: longer side about `longest`, both at least 96 and multiples of `MULTIPLE`.
+
+    `longest` is `longer_side` where it is not given.
+    """
+    scale = (longer_side(width, height) if longest is None else longest) / max(width, height)
     across, down = (max(3, round(side * scale / MULTIPLE)) * MULTIPLE for side in (width, height))
     return across, down
 
 
-def resized(pixels: Bytes2D, longest: float = LONGEST) -> Bytes2D:
+def resized(pixels: Bytes2D, longest: float | None = None) -> Bytes2D:
     """Resize an image, uint8 of shape (height, width, 3), to `network_size`."""
     height, width = pixels.shape[:2]
     size = network_size(width, height, longest)
