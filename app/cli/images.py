@@ -103,6 +103,8 @@ def exif_reader() -> Iterator[Callable[[Path], Known]]:
 
     def read(path: Path) -> Known:
         try:
+            if path.stat().st_size > LARGEST * MEGA:
+                return {}  # and it is said when it is sent
             return decoder.read_exif(path.read_bytes())
         except BadImage as error:
             say(f"{path}: its EXIF is not read: {error.detail}")

@@ -21,7 +21,7 @@ class ClientError(Exception):
 
 
 class Unsendable(ClientError, ValueError):
-    """A name, an id or a key with which no call can be made; nothing was sent."""
+    """A name, an id, a key or a file with which no call can be made; nothing was sent."""
 
 
 class Unreachable(ClientError):

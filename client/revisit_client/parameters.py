@@ -16,12 +16,17 @@ Time = datetime | str
 Image = bytes | str | os.PathLike[str]
 """The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF, HEIC), or its path."""
 
+LARGEST_FILE = 10**9
+"""Bytes: a file that has more is not read, since it and its copies would fill the memory, and services take 25 MB."""
+
 
 def named(image: Image) -> tuple[str | None, bytes]:
-    """File name, None for bytes, and bytes of an image."""
+    """File name, None for bytes, and bytes of an image; raises Unsendable for a file of more than `LARGEST_FILE`."""
     if isinstance(image, bytes):
         return None, image
     path = Path(image)
+    if (size := path.stat().st_size) > LARGEST_FILE:
+        raise Unsendable(f"{path} has {size / 1e9:.1f} GB, and no file of more than 1 GB is sent as an image")
     return readable(path.name), path.read_bytes()
 
 

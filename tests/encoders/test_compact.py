@@ -28,7 +28,7 @@ from worker.encoders.compact.ensemble import (
     prepared,
     segment_with_ensemble,
 )
-from worker.encoders.compact.input_size import LONGEST, MULTIPLE, network_size, resized
+from worker.encoders.compact.input_size import LONGEST, MULTIPLE, resized
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
 
@@ -378,24 +378,3 @@ class TestFiles:
 
         with pytest.raises(SetupError, match="install the package onnxruntime"):
             CompactEncoder()
-
-
-@pytest.mark.parametrize(
-    ("size", "expected"), [((640, 480), (480, 352)), ((480, 640), (352, 480)), ((4000, 90), (480, 96))]
-)
-def test_sides_become_multiples_of_the_deepest_stride(size: tuple[int, int], expected: tuple[int, int]) -> None:
-    assert network_size(*size) == expected
-
-
-@pytest.mark.parametrize(
-    ("size", "expected"),
-    [
-        ((32, 24), (352, 256)),
-        ((97, 97), (352, 352)),
-        ((128, 96), (448, 352)),
-        ((97, 128), (352, 448)),
-        ((144, 80), (480, 256)),
-    ],
-)
-def test_the_smallest_images_are_enlarged_less(size: tuple[int, int], expected: tuple[int, int]) -> None:
-    assert network_size(*size) == expected
