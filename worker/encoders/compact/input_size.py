@@ -12,7 +12,7 @@ ENLARGED = 3.6
 """The smallest images are enlarged no more than so many times: further on, cells show what interpolation makes up."""
 
 LEAST = 352
-"""Pixels to which the longer side is resized at least, so that the field has a cell for each of the cells compared."""
+"""Pixels to which the longer side is resized at least: with fewer cells, neighbours on a path look alike."""
 
 MULTIPLE = 32
 """Sides of the input are multiples of this many pixels, so that images need no padding."""
