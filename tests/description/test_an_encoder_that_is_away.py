@@ -196,6 +196,22 @@ class IllEncoder(GatedEncoder):
         yield from super().encode(images)
 
 
+class RecoveringEncoder(GatedEncoder):
+    """Fails once, on the second image that it is given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.given = 0
+        self.gate.release(99)
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        for one in images:
+            self.given += 1
+            if self.given == 2:
+                raise RuntimeError("CUDA error: out of memory")
+            yield from super().encode([one])
+
+
 class OverflowingEncoder(GatedEncoder):
     """Gives vectors of a bright image that are none."""
 
@@ -227,6 +243,19 @@ def test_while_the_encoder_fails_on_every_image_none_is_to_blame(
     encoder.well = True
     assert [one.result(PATIENCE_S).value for one in enrolments] == [1, 2, 3]
     assert tried(scheduler, PATIENCE_S) == "ok"
+    scheduler.stop()
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_an_encoder_that_is_well_again_before_it_is_tried_on_a_plain_image_blames_none(batch: int) -> None:
+    encoder = RecoveringEncoder()
+    scheduler = Scheduler(encoder, batch=batch, queries=5)
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2, 3)]
+    scheduler.start()
+
+    assert [one.result(PATIENCE_S).value for one in enrolments] == [1, 2, 3]
+    assert encoder.seen == [1, 127, 2, 3], "each once, and the plain one between"
+    assert scheduler.away is None
     scheduler.stop()
 
 

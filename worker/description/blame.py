@@ -20,7 +20,8 @@ def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Itera
     """The fields of images, as `Encoder.encode` makes them.
 
     Where that fails, the encoder is tried on a plain image. If it fails there too, as on a GPU that is lost or without
-    memory, these images would fail for nothing of their own.
+    memory, these images would fail for nothing of their own. If it does not, they are tried once more: it may have got
+    well between the two.
 
     Raises
     ------
@@ -29,10 +30,14 @@ def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Itera
     EncoderAway
         A shared encoder cannot be had now.
     Exception
-        Whatever the encoder raised on these images; ValueError where it gave numbers that are none.
+        Whatever the encoder raised on these images, twice; ValueError where it gave numbers that are none.
     """
+    done = 0
     try:
-        yield from _sound(encoder, images, urgent=urgent)
+        for field in _sound(encoder, images, urgent=urgent):
+            done += 1
+            yield field
+        return
     except EncoderAway:
         raise
     except Exception as error:
@@ -47,7 +52,7 @@ def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Itera
                 f"try again in {REST_S} s",
                 REST_S,
             ) from error
-        raise
+    yield from _sound(encoder, images[done:], urgent=urgent)
 
 
 def _sound(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
