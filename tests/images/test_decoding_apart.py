@@ -24,6 +24,7 @@ from worker.images.apart import process as process_module
 from worker.images.apart.pool import DecoderPool
 from worker.images.apart.process import DecoderProcess
 from worker.images.codec import Limits, decode, thumbnail
+from worker.images.decoder import InProcessDecoder
 from worker.images.exif import read_exif
 
 LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
@@ -42,11 +43,27 @@ def pid_of(process: DecoderProcess) -> int:
     return process.pid
 
 
+@pytest.mark.parametrize("side", [1100, 2600])  # more pixels than are taken, and more bytes as well
+def test_a_stored_image_may_be_larger_than_one_that_is_sent(pool: DecoderPool, side: int) -> None:
+    data = encoded(np.random.default_rng(1).integers(0, 256, (side, side, 3), np.uint8), "jpeg")
+    assert (len(data) > LIMITS.max_bytes) == (side == 2600)
+    with pytest.raises(BodyTooLarge if side == 2600 else BadImage):
+        pool.decode(data)
+
+    for decoder in (pool, InProcessDecoder(LIMITS)):
+        for patient in (False, True):
+            assert decoder.decode(data, patient=patient, stored=True).pixels.shape == (side, side, 3)
+        assert decoder.thumbnail(data, 64) == thumbnail(data, 64)
+        with pytest.raises(BadImage, match="damaged"):
+            decoder.decode(data[:-5000], stored=True)
+    assert [process.starts for process in pool.processes] == [1, 1], "theirs is the memory of what is sent"
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="threads have a priority of their own on Linux")
 def test_a_decoder_that_an_import_had_to_start_again_serves_queries_as_before(pool: DecoderPool) -> None:
     def imports() -> None:
         step_aside()
-        pool.decode_patiently(photo())
+        pool.decode(photo(), patient=True)
 
     pool.decode(photo())
     for process in pool.processes:
@@ -194,7 +211,7 @@ def test_more_images_than_decoders_wait_and_then_are_told_to_come_back() -> None
         pool.decode(photo())
     assert caught.value.code == "too-many-requests"
     with ThreadPoolExecutor(1) as threads:
-        patient = threads.submit(pool.decode_patiently, photo())
+        patient = threads.submit(pool.decode, photo(), patient=True)
         pool._free.put(process)
         assert patient.result().width == 64
     pool.close()

@@ -27,11 +27,9 @@ class CountingDecoder(InProcessDecoder):
         super().__init__(codec.Limits(1_000_000, 1_000_000))
         self.seen: list[str] = []
 
-    def decode(self, data: bytes) -> Image:
+    def decode(self, data: bytes, *, patient: bool = False, stored: bool = False) -> Image:
         self.seen.append(digest(data))
-        return super().decode(data)
-
-    decode_patiently = decode
+        return super().decode(data, patient=patient, stored=stored)
 
 
 def digest(data: bytes) -> str:

@@ -18,7 +18,7 @@ import simplejpeg
 from PIL import Image as PilImage, UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
-from schemas.errors import BadImage, BodyTooLarge
+from schemas.errors import BadImage, BodyTooLarge, RevisitError
 from schemas.image import Bytes2D, Image, ImageFacts
 from worker.images import jpeg, png, sample_depth
 from worker.images.sniffing import ACCEPTED, image_type
@@ -40,6 +40,7 @@ LONGEST_SIDE = 65_500
 NARROWEST = 50
 """How many times as long as wide an image may be. Panoramas and strips are below 20; nothing is found in a thread."""
 
+_TOO_LARGE = "picture-too-large"
 _ORIENTATION = 0x0112  # EXIF tag
 _TILE_SIDES = (322, 323)  # tags of a TIFF: width and length of a tile
 _TURNED = range(5, 9)  # values that swap width and height
@@ -67,6 +68,12 @@ class Limits:
     def of(cls, settings: "Settings") -> "Limits":
         """The limits in the settings."""
         return cls(round(settings.max_body_mb * MEGA), round(settings.max_megapixels * MEGA))
+
+    @classmethod
+    def that_allow(cls, data: bytes) -> "Limits":
+        """The lowest limits that an image is within, of which only the header is read; raises BadImage."""
+        known = probe(data, cls(len(data), LONGEST_SIDE**2))
+        return cls(len(data), known.width * known.height)
 
 
 def decode(data: bytes, limits: Limits) -> Image:
@@ -202,6 +209,11 @@ class _Header:
         return cls(kind, stored, orientation, plain)
 
 
+def is_too_large(error: RevisitError) -> bool:
+    """Whether an image was refused for what a caller may mend by larger limits."""
+    return isinstance(error, BodyTooLarge) or error.code == _TOO_LARGE
+
+
 def check_length(data: bytes, limits: Limits) -> None:
     """Refuse more bytes than are taken; raises BodyTooLarge."""
     if len(data) > limits.max_bytes:
@@ -211,13 +223,13 @@ def check_length(data: bytes, limits: Limits) -> None:
 def _check_size(width: int, height: int, limits: Limits) -> None:
     if width * height > limits.max_pixels:
         raise BadImage(
-            "picture-too-large",
+            _TOO_LARGE,
             f"the image is {width} x {height} = {width * height / MEGA:.1f} megapixels; "
             f"at most {limits.max_pixels / MEGA:g} are taken",
         )
     if max(width, height) > LONGEST_SIDE:
         raise BadImage(
-            "picture-too-large",
+            _TOO_LARGE,
             f"the image is {width} x {height} pixels; a side of at most {LONGEST_SIDE:,} is taken",
         )
     if min(width, height) < SHORTEST_SIDE:
@@ -227,7 +239,7 @@ def _check_size(width: int, height: int, limits: Limits) -> None:
         )
     if max(width, height) > NARROWEST * min(width, height):
         raise BadImage(
-            "picture-too-large",
+            _TOO_LARGE,
             f"the image is {width} x {height} pixels; "
             f"one side may be at most {NARROWEST} times as long as the other: cut it into several images",
         )

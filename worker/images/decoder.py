@@ -3,6 +3,7 @@
 import io
 from typing import Protocol
 
+from schemas.errors import BadImage, BodyTooLarge
 from schemas.image import Image
 from worker.images import codec, exif
 from worker.images.exif import Known
@@ -24,16 +25,32 @@ class Decoder(Protocol):
         """``ok``, or why no image can be decoded now."""
         ...
 
-    def decode(self, data: bytes) -> Image:
-        """An image upright, RGB, eight bits; raises BadImage, BodyTooLarge, Busy, Unavailable."""
-        ...
+    def decode(self, data: bytes, *, patient: bool = False, stored: bool = False) -> Image:
+        """An image upright, RGB, eight bits.
 
-    def decode_patiently(self, data: bytes) -> Image:
-        """As `decode`, of an image that was accepted before: waits for its turn instead of raising Busy."""
+        Parameters
+        ----------
+        data : bytes
+        patient : bool
+            Whether it waits for its turn, and for a process, as long as it takes.
+        stored : bool
+            Whether it was accepted before. It may be larger than the limits then, which were others.
+
+        Raises
+        ------
+        BadImage, BodyTooLarge
+        Busy, Unavailable
+            Not where it is patient, unless the service stops.
+        """
         ...
 
     def thumbnail(self, data: bytes, longest: int) -> bytes:
-        """A JPEG without metadata, upright, its longer side at most `longest` pixels; raises as `decode`."""
+        """A JPEG of an accepted image without metadata, upright, its longer side at most `longest` pixels.
+
+        Raises
+        ------
+        BadImage, Busy, Unavailable
+        """
         ...
 
     def read_exif(self, data: bytes) -> Known:
@@ -65,11 +82,14 @@ class InProcessDecoder:
         """Always ``ok``."""
         return "ok"
 
-    def decode(self, data: bytes) -> Image:
+    def decode(self, data: bytes, *, patient: bool = False, stored: bool = False) -> Image:
         """As `codec.decode`."""
-        return codec.decode(data, self._limits)
-
-    decode_patiently = decode
+        try:
+            return codec.decode(data, self._limits)
+        except (BadImage, BodyTooLarge) as error:
+            if not stored or not codec.is_too_large(error):
+                raise
+        return codec.decode(data, codec.Limits.that_allow(data))
 
     def thumbnail(self, data: bytes, longest: int) -> bytes:
         """As `codec.thumbnail`."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 
 from schemas.image import Image
 from schemas.recipe import MapRecipe
@@ -162,13 +163,14 @@ def build(
 def _make_loop(parts: Parts, name: str) -> Loop:
     """The loop of a process that describes images and does jobs of maps; `name` is that of the worker."""
     settings, store, decoder = parts.settings, parts.store, parts.decoder
+    stored = partial(decoder.decode, patient=True, stored=True)
     trainer = VocabularyTrainer(
         maps=store.maps, views=store.views, jobs=store.jobs, describers=parts.describers, scheduler=parts.scheduler,
-        decode=decoder.decode_patiently,
+        decode=stored,
     )  # fmt: skip
     importer = Importer(
         uploads=store.uploads, jobs=store.jobs, removals=store.removals, enrolment=parts.enrolment,
-        settlements=parts.settlements, decode=decoder.decode_patiently, read_exif=decoder.read_exif,
+        settlements=parts.settlements, decode=partial(decoder.decode, patient=True), read_exif=decoder.read_exif,
         look_for_problem=quality.problem_of, limits=Limits.of(settings),
         ahead_bytes=settings.handed_on_pixel_bytes // 2, wake=parts.bell.ring,
     )  # fmt: skip
@@ -180,7 +182,7 @@ def _make_loop(parts: Parts, name: str) -> Loop:
             "shadow": parts.shadows.run,
         },
         compare=idle_work(store.leftovers, store.indexing, parts.comparer if settings.compare else None),
-        decode=decoder.decode_patiently, decoded=parts.decoded, name=name, batch=batch_of(settings),
+        decode=stored, decoded=parts.decoded, name=name, batch=batch_of(settings),
         trouble=StoringTrouble("descriptions", 2.0, parts.settlements.refuse),
         refused=QualityGate(parts.duplicates).problem_of,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from schemas.settings import MEGA, Settings
 from worker.description.describers import Describers
@@ -126,7 +127,8 @@ def make_parts(
         maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
         comparisons=store.comparisons, kept=store.kept_queries, jobs=store.jobs, catalogue=catalogue,
         make_index=FlatIndex.of, comparer=comparer, describers=describers, scheduler=scheduler,
-        decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
+        decode=partial(decoder.decode, patient=True, stored=True), calibration=calibration_of,
+        shipped=shipped_calibration, product=product,
     )  # fmt: skip
     blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
     decoded = DecodedImages(settings.handed_on_pixel_bytes if describes else 0)

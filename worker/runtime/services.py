@@ -96,12 +96,13 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
         describer=searcher.describer,
         resembles=Resemblances(store.maps, store.descriptions, searcher, parts.duplicates).of,
     )  # fmt: skip
+    stored = partial(decoder.decode, stored=True)
     renderings = RenderingService(
         maps=store.maps, views=store.views, descriptions=store.descriptions, describers=describers,
-        scheduler=scheduler, decode=decoder.decode, thumbnail=decoder.thumbnail, explanations=explanations,
+        scheduler=scheduler, decode=stored, thumbnail=decoder.thumbnail, explanations=explanations,
     )  # fmt: skip
     changes = ChangeService(
-        maps=store.maps, views=store.views, describers=describers, scheduler=scheduler, decode=decoder.decode,
+        maps=store.maps, views=store.views, describers=describers, scheduler=scheduler, decode=stored,
         explanations=explanations,
     )  # fmt: skip
     scores = ScoreKeeper(store.day_scores)

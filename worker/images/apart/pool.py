@@ -18,7 +18,7 @@ from schemas.threads import Threads
 from worker.images.apart.buffers import Buffers
 from worker.images.apart.process import DecoderProcess, Died, Hung
 from worker.images.apart.protocol import DECODE, READ_EXIF, THUMBNAIL
-from worker.images.codec import Limits, check_length
+from worker.images.codec import Limits, check_length, is_too_large
 from worker.images.decoder import Decoder, InProcessDecoder
 from worker.images.exif import Known
 
@@ -51,14 +51,15 @@ class DecoderPool:
 
     def __init__(self, count: int, limits: Limits, deadline_s: float) -> None:
         self._limits, self._deadline_s = limits, deadline_s
-        launching = Threads(1, "revisit-decoders")
-        self.processes = [DecoderProcess(limits, deadline_s, launching) for _ in range(count)]
+        self._launching = Threads(1, "revisit-decoders")
+        self.processes = [DecoderProcess(limits, deadline_s, self._launching) for _ in range(count)]
         # The latest one used first: its memory is warm, and one that is never needed is never touched.
         self._free: queue.LifoQueue[DecoderProcess] = queue.LifoQueue()
         for process in reversed(self.processes):
             self._free.put(process)
         self._closed = threading.Event()
         self._buffers = Buffers(count + 1, LARGEST_KEPT)
+        self._one_larger = threading.Lock()
 
     @property
     def restarts(self) -> int:
@@ -85,22 +86,24 @@ class DecoderPool:
             self._free.put(process)
         return "ok"
 
-    def decode(self, data: bytes) -> Image:
+    def decode(self, data: bytes, *, patient: bool = False, stored: bool = False) -> Image:
         """An image; raises BadImage, BodyTooLarge, Busy, Unavailable."""
-        return self._decode(data, patient=False)
-
-    def decode_patiently(self, data: bytes) -> Image:
-        """As `decode`, waiting for its turn and for a process as long as it takes."""
         while True:
             try:
-                return self._decode(data, patient=True)
+                return self._decode(data, patient=patient, stored=stored)
             except Unavailable:
-                if self._closed.wait(RETRY_S):
+                if not patient or self._closed.wait(RETRY_S):
                     raise
 
     def thumbnail(self, data: bytes, longest: int) -> bytes:
-        """A small JPEG; raises as `decode`."""
-        return self._with_process(lambda process: self._thumbnail(process, data, longest), patient=False)
+        """A small JPEG; raises BadImage, Busy, Unavailable."""
+
+        def made(process: DecoderProcess) -> bytes:
+            return self._thumbnail(process, data, longest)
+
+        if len(data) > self._limits.max_bytes:
+            return self._with_larger(data, made)
+        return self._with_process(made, patient=False)
 
     def read_exif(self, data: bytes) -> Known:
         """What the EXIF says; waits for its turn, and raises BadImage where reading it ends the process."""
@@ -116,9 +119,14 @@ class DecoderPool:
             except queue.Empty:
                 log.warning("a decoder did not come back; its own alarm ends it")
 
-    def _decode(self, data: bytes, *, patient: bool) -> Image:
-        check_length(data, self._limits)
-        return self._with_process(lambda process: self._image(process, data), patient=patient)
+    def _decode(self, data: bytes, *, patient: bool, stored: bool) -> Image:
+        try:
+            check_length(data, self._limits)
+            return self._with_process(lambda process: self._image(process, data), patient=patient)
+        except (BadImage, BodyTooLarge) as error:
+            if not stored or not is_too_large(error):
+                raise
+        return self._with_larger(data, lambda process: self._image(process, data))
 
     def _image(self, process: DecoderProcess, data: bytes) -> Image:
         reply, memory = process.ask(DECODE, data)
@@ -147,6 +155,22 @@ class DecoderPool:
     def _with_process(self, use: Callable[[DecoderProcess], Made], *, patient: bool) -> Made:
         process = self._borrow(patient)
         try:
+            return self._used(process, use)
+        finally:
+            self._free.put(process)
+
+    def _with_larger(self, data: bytes, use: Callable[[DecoderProcess], Made]) -> Made:
+        """With a process for an image that was accepted by larger limits than those of now; one at a time."""
+        with self._one_larger:
+            process = DecoderProcess(Limits.that_allow(data), self._deadline_s, self._launching)
+            try:
+                return self._used(process, use)
+            finally:
+                process.kill()
+
+    def _used(self, process: DecoderProcess, use: Callable[[DecoderProcess], Made]) -> Made:
+        """What is made with a process; an image that ends it twice, or hangs, is refused."""
+        try:
             try:
                 return use(process)
             except Died as error:
@@ -162,8 +186,6 @@ class DecoderPool:
             raise BadImage(
                 "undecodable-picture", f"this image cannot be decoded within {self._deadline_s:g} s"
             ) from error
-        finally:
-            self._free.put(process)
 
     def _borrow(self, patient: bool) -> DecoderProcess:
         began = time.monotonic()
