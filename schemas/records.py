@@ -233,13 +233,14 @@ class Claim:
 
 @dataclass(frozen=True)
 class WorkerRecord:
-    """A process that describes images; `beats` counts its signs of life."""
+    """A process that describes images, by the encoder that it names; `beats` counts its signs of life."""
 
     name: str
     kind: str
     host: str
     pid: int
     beats: int
+    encoder: str | None = None
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,6 @@ END_S = 1.0
 ENCODER_PATIENCE_S = 5.0
 """Seconds in which the encoder has to answer the test image or another one."""
 
-NO_WORKER = "no worker is alive to describe images; start one with `./revisit worker`"
-
 
 def liveness(trouble: str | None) -> Response:
     """What ``/livez`` answers; `trouble`: what only a restart mends, in words, or None."""
@@ -125,9 +123,10 @@ class ReadinessCheck:
 
     def _worker(self) -> str:
         runtime = self._runtime
-        if runtime.attendance.alive:
-            return "ok"
-        return NO_WORKER if runtime.loop is None else "its thread has ended; restart the service"
+        nobody = runtime.attendance.nobody
+        if nobody is None or runtime.loop is None:
+            return nobody or "ok"
+        return "its thread has ended; restart the service"
 
     def _maps(self) -> dict[str, wire.MapReadiness]:
         indexed, recalls = self._runtime.catalogue.revisions(), self._runtime.catalogue.recalls()

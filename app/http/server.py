@@ -118,8 +118,8 @@ class Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """On the first signal stop in order, on the second at once."""
+        self.force_exit = bool(self._captured_signals)  # it may have begun to stop by itself
         self._captured_signals.append(sig)
-        self.force_exit = self.should_exit
         self.should_exit = True
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:

@@ -311,6 +311,7 @@ def without_later(connection: sa.Connection) -> None:
         "comparisons.own",
         "jobs.refuse_poor",
         "jobs.told",
+        "workers.encoder",
         "comparisons.breadth",
         "maps.keep_queries",
         "maps.refuse_poor",
@@ -329,7 +330,8 @@ def without_later(connection: sa.Connection) -> None:
 def without_0022(connection: sa.Connection) -> None:
     """Take away what came with revision 0022, and later."""
     connection.exec_driver_sql("DROP TABLE deleted_images")
-    connection.exec_driver_sql("ALTER TABLE jobs DROP COLUMN told")
+    for table, column in (("jobs", "told"), ("workers", "encoder")):
+        connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {column}")
     connection.exec_driver_sql("DROP INDEX kept_queries_in_order")
     connection.exec_driver_sql("ALTER TABLE kept_queries DROP COLUMN number")
     connection.exec_driver_sql("CREATE INDEX kept_queries_by_map ON kept_queries (map_id, id)")

@@ -16,14 +16,14 @@ from worker.service import attendance
 from worker.service.attendance import ROUNDS, Attendance, this_process
 from worker.storage.store import SqlStore
 
-FAR = replace(this_process("worker"), name="far", host="another machine/pid:[1]")
+FAR = replace(this_process("worker", "color"), name="far", host="another machine/pid:[1]")
 
 
 def watching(store: SqlStore, freed: Mock | None = None, me: WorkerRecord | None = None) -> Attendance:
     """The attendance of a worker, whose rounds a test makes by itself."""
     return Attendance(
         store.workers,
-        me or this_process("worker"),
+        me or this_process("worker", "color"),
         working=lambda: True,
         every_s=3600,
         each_round=lambda: None,
@@ -40,9 +40,9 @@ def test_the_jobs_of_a_silent_worker_go_back_and_its_late_description_is_refused
     for _ in range(ROUNDS):
         mine._round()
         assert store.jobs.claim("mine", 1) == [], "a clock took the job away"
-    assert mine.alive == 2
+    assert mine.able == 2
     mine._round()
-    assert mine.alive == 1
+    assert mine.able == 1
     freed.assert_called_once_with()
 
     [anew] = store.jobs.claim("mine", 1)
@@ -61,7 +61,7 @@ def test_a_worker_that_gives_signs_of_life_keeps_its_jobs_for_ever(store: SqlSto
     for number in range(4 * ROUNDS):
         store.workers.beat(FAR, NOW - timedelta(days=number))
         mine._round()
-    assert mine.alive == 2
+    assert mine.able == 2
     finish(store, claim)
 
 
@@ -75,16 +75,16 @@ def test_silence_while_nobody_can_write_says_nothing(store: SqlStore, monkeypatc
             mine._round()
     for _ in range(ROUNDS):
         mine._round()
-    assert mine.alive == 2, "its rounds are counted from when it could write again"
+    assert mine.able == 2, "its rounds are counted from when it could write again"
     mine._round()
-    assert mine.alive == 1
+    assert mine.able == 1
 
 
 def test_a_process_of_this_machine_that_is_gone_is_noticed_in_the_next_round(store: SqlStore) -> None:
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     enroll(store, "gate")
-    dead = replace(this_process("worker"), name="dead", pid=process.pid)
+    dead = replace(this_process("worker", "color"), name="dead", pid=process.pid)
     store.workers.beat(dead, NOW)
     store.jobs.claim(dead.name, 1)
     watching(store)._round()
@@ -101,7 +101,7 @@ def test_machines_made_from_one_image_do_not_take_each_other_s_processes_for_gon
     (tmp_path / "boot_id").write_text("of the other machine\n")
     with monkeypatch.context() as there:
         there.setattr(attendance, "BOOT", tmp_path / "boot_id")
-        other = replace(this_process("worker"), pid=process.pid)
+        other = replace(this_process("worker", "color"), pid=process.pid)
     enroll(store, "gate")
     store.workers.beat(other, NOW)
     [claim] = store.jobs.claim(other.name, 1)
@@ -126,7 +126,7 @@ def test_what_a_service_left_goes_back_at_once_where_another_begins_alone(store:
     enroll(store, "gate")
     store.workers.beat(replace(FAR, kind="serve"), NOW)
     store.jobs.claim(FAR.name, 1)
-    next_one = watching(store, me=this_process("serve"))
+    next_one = watching(store, me=this_process("serve", "color"))
     next_one.start(alone=True)
     assert len(store.jobs.claim("next", 1)) == 1
     next_one.stop()
@@ -137,7 +137,7 @@ def test_two_services_with_workers_of_their_own_leave_each_other_their_jobs(stor
     other = replace(FAR, kind="serve")
     store.workers.beat(other, NOW)
     [claim] = store.jobs.claim(FAR.name, 1)
-    mine = watching(store, me=this_process("serve"))
+    mine = watching(store, me=this_process("serve", "color"))
     mine.start(alone=False)
     for _ in range(3 * ROUNDS):
         store.workers.beat(other, NOW)
@@ -146,9 +146,34 @@ def test_two_services_with_workers_of_their_own_leave_each_other_their_jobs(stor
     finish(store, claim)
 
 
+def test_workers_with_another_encoder_are_told_from_those_that_describe_what_is_enrolled_here(store: SqlStore) -> None:
+    service = Attendance(
+        store.workers,
+        this_process("serve", "color"),
+        working=None,
+        every_s=3600,
+        each_round=lambda: None,
+        on_freed=Mock(),
+    )
+    service._round()
+    assert service.able == 0
+    assert "`./revisit worker`" in str(service.nobody)
+
+    for name, encoder in (("a", "lseg"), ("b", "compact"), ("c", "lseg")):
+        store.workers.beat(replace(FAR, name=name, encoder=encoder), NOW)
+    service._round()
+    assert service.able == 0
+    assert "describes by color, as this service does, only by compact, lseg:" in str(service.nobody)
+
+    store.workers.beat(replace(FAR, name="d"), NOW)
+    store.workers.beat(replace(FAR, name="of a version before", encoder=None), NOW)
+    service._round()
+    assert (service.able, service.nobody) == (2, None)
+
+
 def test_a_worker_that_stops_takes_itself_out(store: SqlStore) -> None:
     enroll(store, "gate")
-    me = this_process("worker")
+    me = this_process("worker", "color")
     mine = watching(store, me=me)
     mine.start()
     assert [worker.name for worker in store.workers.present()] == [me.name]

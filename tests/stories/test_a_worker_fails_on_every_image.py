@@ -42,13 +42,16 @@ sys.exit(main(sys.argv[-1:]))
 """
 """A process of revisit whose encoder fails or hangs; it counts as beyond help after some seconds."""
 
+LEASE = {"REVISIT_LEASE_S": "10"}
+"""For all processes: one with a longer lease would be silent for longer than another waits for it."""
+
 
 @contextmanager
 def ill_worker(data: Path, how: str, after_s: float) -> Iterator["subprocess.Popen[str]"]:
     """A worker of that kind."""
     process = subprocess.Popen(
         [sys.executable, "-c", ILL.format(how=how, after_s=after_s), "worker"],
-        env=variables(data),
+        env=variables(data, LEASE),
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -64,13 +67,13 @@ def ill_worker(data: Path, how: str, after_s: float) -> Iterator["subprocess.Pop
 class Failing(RunningService):
     """A service of that kind."""
 
-    within = (sys.executable, "-c", ILL.format(how="fails", after_s=0.5))
+    within = (sys.executable, "-c", ILL.format(how="fails", after_s=3))
 
 
 class Hanging(RunningService):
     """Another."""
 
-    within = (sys.executable, "-c", ILL.format(how="hangs", after_s=0.5))
+    within = (sys.executable, "-c", ILL.format(how="hangs", after_s=3))
 
 
 class FailingEncoder(RunningEncoder):
@@ -83,7 +86,7 @@ class FailingEncoder(RunningEncoder):
 def client(tmp_path: Path) -> Iterator[httpx.Client]:
     """Of a service that has no worker, and photos that wait for one."""
     with (
-        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", REVISIT_LEASE_S="2") as service,
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", **LEASE) as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
         enrol_photos(client)
@@ -118,8 +121,8 @@ def test_a_worker_that_can_describe_nothing_ends_and_another_describes_them(
         assert f"ends, so that it is started anew: {why}" in said
         assert ("illegal memory access" in said) == (how == "fails")
     assert views(client) == {"pending": PHOTOS, "ready": 0, "failed": 0}
-    with worker(tmp_path, REVISIT_LEASE_S="60"):  # it signed off: nobody waits for its lease
-        until(lambda: views(client)["ready"] == PHOTOS, 20)
+    with worker(tmp_path, **LEASE):
+        until(lambda: views(client)["ready"] == PHOTOS)
 
 
 def test_a_worker_whose_encoder_hangs_ends_at_a_second_signal(client: httpx.Client, tmp_path: Path) -> None:
@@ -134,7 +137,7 @@ def test_a_worker_whose_encoder_hangs_ends_at_a_second_signal(client: httpx.Clie
 
     assert process.returncode == 1
     assert "stopped at once by a second SIGTERM" in said
-    with worker(tmp_path, REVISIT_LEASE_S="2"):
+    with worker(tmp_path, **LEASE):
         until(lambda: views(client)["ready"] == PHOTOS)
 
 
@@ -154,6 +157,18 @@ def test_a_service_that_can_describe_nothing_ends_and_the_next_one_describes_wha
     assert f"ends, so that it is started anew: {why}" in said
     with RunningService(tmp_path) as service, httpx.Client(base_url=service.url, timeout=60) as client:
         until(lambda: views(client) == {"pending": 0, "ready": PHOTOS, "failed": 0})
+
+
+def test_the_first_signal_to_a_service_that_ends_by_itself_is_no_second_one(tmp_path: Path) -> None:
+    """A supervisor that stops it just then: whoever waits is answered, and the log says what happened."""
+    with Hanging(tmp_path, False) as service:
+        with httpx.Client(base_url=service.url, timeout=60) as client:
+            enrol_photos(client)
+        until(lambda: any("ends, so that it is started anew" in line for line in service.output))
+        service.signal(signal.SIGTERM)
+
+        assert service.wait() == 1
+    assert "by a second" not in "".join(service.output)
 
 
 def test_a_shared_encoder_that_can_encode_nothing_ends() -> None:

@@ -180,7 +180,7 @@ def test_near_duplicates_are_looked_for_once_unless_another_worker_may_keep_one_
         return look(self, name, *said, **how)
 
     monkeypatch.setattr(NearDuplicates, "of", counted)
-    monkeypatch.setattr(Attendance, "alive", workers)
+    monkeypatch.setattr(Attendance, "able", workers)
     with CheckedClient(create_app(build(settings(tmp_path, compare=False)))) as client:
         answer = client.post(f"/enroll?map=wall&refuse_poor={refuse}", content=sharp(5), headers=JPEG)
     assert (answer.status_code, looks) == (201, ["wall"] * looked)

@@ -71,7 +71,7 @@ def test_a_map_is_carried_over_to_another_encoder_and_back(tmp_path: Path) -> No
 def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describe_them(tmp_path: Path) -> None:
     """As in a fleet that is brought to new weights node by node, or where one machine has other settings."""
     with (
-        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service,
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", REVISIT_LEASE_S="10") as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
 
@@ -79,13 +79,23 @@ def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describ
             counts: dict[str, int] = client.get("/maps/default").json()["views"]
             return counts
 
-        with worker(tmp_path, REVISIT_ENCODER="compact"):
+        def nobody(*, answers_for: str) -> str | None:
+            checked: str = client.get("/readyz").json()["checks"]["worker"]
+            return checked if answers_for in checked else None
+
+        assert until(lambda: nobody(answers_for="`./revisit worker`"))
+        with worker(tmp_path, REVISIT_ENCODER="compact", REVISIT_LEASE_S="10"):
             for name in PLACES:
                 kept = client.post(f"/enroll?wait=false&place={name}", content=photo(scene(name)), headers=JPEG)
                 assert kept.status_code == 202
+            told = until(lambda: nobody(answers_for="only by compact"))
+            assert "describes by color" in told
+            hasty = client.post("/enroll", content=photo(scene("quay")), headers=JPEG)
+            assert (hasty.status_code, hasty.json()["detail"].startswith(told)) == (503, True)
             time.sleep(2)
             assert views() == {"pending": len(PLACES), "ready": 0, "failed": 0}
-        with worker(tmp_path):
+        with worker(tmp_path, REVISIT_LEASE_S="10"):
+            until(lambda: nobody(answers_for="ok"))
             until(lambda: views() == {"pending": 0, "ready": len(PLACES), "failed": 0})
 
 

@@ -138,7 +138,7 @@ def build(
         parts = make_parts(
             settings, threads, describes=describes, make_encoder=make_encoder, make_scheduler=make_scheduler
         )
-        me = this_process("serve" if serving else "worker")
+        me = this_process("serve" if serving else "worker", f"{parts.encoder.name} {parts.encoder.digest[:12]}")
         loop = _make_loop(parts, me.name) if describes else None
         attendance = Attendance.of(parts.store, me, loop, settings.lease_s)
         if loop is not None:

@@ -64,7 +64,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     ----------
     parts : Parts
     attendance : Attendance
-        Says how many workers are alive, so that a caller learns how long its image will wait.
+        Says how many workers describe images, so that a caller learns how long its image will wait.
     default_recipe : MapRecipe
         Recipe of a map that its first enrolment creates.
     """
@@ -92,7 +92,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
         settlements=parts.settlements, read_exif=decoder.read_exif,
         room=waiting_room("enrolments", limit=settings.queue, most_bytes=settings.enrolment_pixel_bytes),
         look_for_problem=quality.problem_of, default_recipe=default_recipe, limit=settings.queue,
-        pace_s=lambda: scheduler.pace_s, wake=parts.bell.ring, workers=lambda: attendance.alive,
+        pace_s=lambda: scheduler.pace_s, wake=parts.bell.ring, workers=attendance,
         describer=searcher.describer,
         resembles=Resemblances(store.maps, store.descriptions, searcher, parts.duplicates).of,
     )  # fmt: skip

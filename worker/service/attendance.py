@@ -65,10 +65,10 @@ class Works(Protocol):
         ...
 
 
-def this_process(kind: str) -> WorkerRecord:
-    """A worker in this process, under a name that no other process has or had."""
+def this_process(kind: str, encoder: str) -> WorkerRecord:
+    """A worker in this process with an encoder, under a name that no other process has or had."""
     host, pid = f"{platform.node()}/{_whose_process_ids()}", os.getpid()
-    return WorkerRecord(f"{platform.node()}:{pid}:{secrets.token_hex(4)}", kind, host, pid, beats=0)
+    return WorkerRecord(f"{platform.node()}:{pid}:{secrets.token_hex(4)}", kind, host, pid, beats=0, encoder=encoder)
 
 
 def _whose_process_ids() -> str:
@@ -115,7 +115,8 @@ class Attendance:
         self._every_s, self._each_round, self._on_freed = every_s, each_round, on_freed
         self._seen: dict[str, tuple[int, int]] = {}  # name: (count, rounds that it stood still)
         self._fresh: dict[str, float] = {}  # name: when its count last moved, of a monotonic clock
-        self._alive = 0
+        self._able = 0
+        self._others: set[str | None] = set()  # encoders of the workers that are not able
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="revisit-attendance", daemon=True)
 
@@ -137,9 +138,25 @@ class Attendance:
         return tuple(now - since for since in list(self._fresh.values()))
 
     @property
-    def alive(self) -> int:
-        """Number of workers that are alive, as far as is known."""
-        return max(self._alive, int(self._working is not None and self._working()))
+    def able(self) -> int:
+        """Number of workers that are alive, and describe by the encoder of this process, as far as is known."""
+        return max(self._able, int(self._working is not None and self._working()))
+
+    @property
+    def nobody(self) -> str | None:
+        """Why nobody describes what is enrolled here, and what helps, in words; None while somebody does."""
+        if self.able:
+            return None
+        if self._others:
+            others = ", ".join(sorted(map(str, self._others)))
+            return (
+                f"no worker is alive that describes by {self._me.encoder}, as this service does, only by {others}: "
+                "start one of the same version with the same REVISIT_ENCODER"
+            )
+        return (
+            "no worker is alive to describe images: start one with `./revisit worker`, or `serve` without "
+            "REVISIT_INLINE_WORKER=false"
+        )
 
     def start(self, *, alone: bool = False) -> None:
         """Give the first sign of life, then go on in a thread.
@@ -180,7 +197,9 @@ class Attendance:
                 self._on_freed()
             if dead:
                 log.warning("workers are gone: %s", ", ".join(sorted(dead)), extra={"event": "workers_gone"})
-            self._alive = len(rows) - len(dead)
+            alive = [row.encoder for row in rows if row.name not in dead]
+            self._able = sum(encoder in (self._me.encoder, None) for encoder in alive)
+            self._others = {encoder for encoder in alive if encoder not in (self._me.encoder, None)}
         except RevisitError:
             self._seen = {}  # nobody could write: their silence says nothing
         except Exception:

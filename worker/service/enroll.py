@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Protocol
 
 from schemas.enrolment import EnrolmentOptions
 from schemas.errors import (
@@ -32,13 +32,23 @@ from worker.service.settlements import Settlements
 from worker.service.views import labelled
 from worker.service.waiting_room import WaitingRoom
 
-NO_WORKER = (
-    "no worker is alive to describe the image: start one with `./revisit worker`, or `serve` without "
-    "REVISIT_INLINE_WORKER=false; with wait=false the image is kept until one comes"
-)
 NO_WORKER_RETRY_S = 10
 
 KEPT = "kept as view {}, which no search will return"
+
+
+class Workers(Protocol):
+    """Who describes what is enrolled."""
+
+    @property
+    def able(self) -> int:
+        """How many are alive that can."""
+        ...
+
+    @property
+    def nobody(self) -> str | None:
+        """Why there is none, in words; None while there is one."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -123,8 +133,7 @@ class EnrollService:
         Returns the measured seconds per image.
     wake : function
         Called when a description was queued.
-    workers : function
-        Returns how many workers are alive.
+    workers : Workers
     resembles : function
         What a described view resembles in its map, and whether near-duplicates of it are known to be none.
     describer : function
@@ -147,7 +156,7 @@ class EnrollService:
         limit: int,
         pace_s: Callable[[], float],
         wake: Callable[[], None],
-        workers: Callable[[], int],
+        workers: Workers,
         resembles: Callable[[ViewRecord, bool], tuple[Resemblance, ...]],
         describer: Callable[[str], object],
     ) -> None:
@@ -177,7 +186,7 @@ class EnrollService:
         map_name : str
         attributes : ViewAttributes
         waits : bool
-            Whether the caller wants to wait for the description, which is refused when no worker is alive.
+            Whether the caller wants to wait for the description, which is refused when no worker is there to make it.
         refuse_poor : bool, optional
             Whether an image that is dark, overexposed, covered or blurred is not to be enrolled, and whether the view
             of one is to fail that shows mostly things that move or is nearly in the map already; None: as the map says.
@@ -217,13 +226,13 @@ class EnrollService:
         return Accepted(submitted, began, expected_s, problem, timing_ms, refuses_poor and workers <= 1)
 
     def _admit(self, waits: bool) -> tuple[int, int]:
-        """How many images wait to be described, and how many workers are alive; raises as `submit`."""
+        """How many images wait to be described, and how many workers describe them; raises as `submit`."""
         waiting = self._queue.count_waiting()
         if waiting >= self._limit:
             raise Busy.queue(waiting, self._pace_s(), "enrolments")
-        workers = self._workers()
-        if waits and workers == 0:
-            raise Unavailable(NO_WORKER, NO_WORKER_RETRY_S)
+        workers, nobody = self._workers.able, self._workers.nobody
+        if waits and nobody is not None:
+            raise Unavailable(f"{nobody}; with wait=false the image is kept until one comes", NO_WORKER_RETRY_S)
         if waits and isinstance(self._settlements.trouble, DiskFull | StorageFailed):
             raise self._settlements.trouble
         return waiting, workers

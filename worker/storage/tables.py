@@ -303,6 +303,7 @@ WORKERS = sa.Table(  # see workers.py
     sa.Column("started_at", UtcDateTime, nullable=False),
     sa.Column("seen_at", UtcDateTime, nullable=False),  # for people: hosts may differ in their clocks
     sa.Column("beats", sa.BigInteger, nullable=False),  # counts the signs of life
+    sa.Column("encoder", sa.Text),  # that it describes by; null: of a version that did not say
 )
 
 CALLS = sa.Table(

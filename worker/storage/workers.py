@@ -34,15 +34,15 @@ class Workers(ShadowJobs):
         with self._database.writing(in_turn=False, durable=False, frees=True) as connection:
             counted = sa.update(WORKERS).where(_MINE).values(beats=WORKERS.c.beats + 1, seen_at=now)
             if connection.execute(counted, {"of": worker.name}).rowcount == 0:
-                first = {"name": worker.name, "kind": worker.kind, "host": worker.host, "pid": worker.pid}
-                connection.execute(sa.insert(WORKERS).values(started_at=now, seen_at=now, beats=1, **first))
+                first = {**vars(worker), "beats": 1}
+                connection.execute(sa.insert(WORKERS).values(started_at=now, seen_at=now, **first))
         return self.present()
 
     def present(self) -> list[WorkerRecord]:
         """All workers that have a row."""
         with self._database.reading() as connection:
             rows = connection.execute(sa.select(WORKERS).order_by(WORKERS.c.name))
-            return [WorkerRecord(row.name, row.kind, row.host, row.pid, row.beats) for row in rows]
+            return [WorkerRecord(row.name, row.kind, row.host, row.pid, row.beats, row.encoder) for row in rows]
 
     def bury(self, names: Collection[str], now: datetime) -> int:
         """Remove workers, and put the jobs of workers without a row back; returns how many jobs.
