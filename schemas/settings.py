@@ -94,7 +94,9 @@ class Settings(BaseSettings):
     batch: int = Field(0, ge=0, le=256, description="Images encoded together; 0: 1 on a CPU, 8 on a GPU.")
     inline_worker: bool = Field(True, description="Describe enrolled images inside `serve`.")
     compare: bool = Field(True, description="Compare the views of each map with one another in the background.")
-    lease_s: float = Field(10, gt=0, description="Seconds without a sign of life that end a worker's claims.")
+    lease_s: float = Field(
+        10, gt=0, description="Seconds without a sign of life that end a worker's claims; the same in all processes."
+    )
     wait: float = Field(30, ge=0, description="Seconds that an enrolment waits at most for its description.")
     reserve_mb: float = Field(64, ge=0, description="Disk space kept for deletions, in 10^6 bytes; 0 keeps none.")
     max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
