@@ -210,7 +210,7 @@ class _Header:
 
 
 def is_too_large(error: RevisitError) -> bool:
-    """Whether an image was refused for what a caller may mend by larger limits."""
+    """Whether an image was refused for its size: larger limits may take it."""
     return isinstance(error, BodyTooLarge) or error.code == _TOO_LARGE
 
 
