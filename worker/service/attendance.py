@@ -116,7 +116,8 @@ class Attendance:
         self._seen: dict[str, tuple[int, int]] = {}  # name: (count, rounds that it stood still)
         self._fresh: dict[str, float] = {}  # name: when its count last moved, of a monotonic clock
         self._able = 0
-        self._others: set[str | None] = set()  # encoders of the workers that are not able
+        self._encoder = str(me.encoder)  # also of workers of a version that did not say theirs, as far as is known
+        self._others: set[str] = set()  # encoders of the workers that are not able
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="revisit-attendance", daemon=True)
 
@@ -148,10 +149,9 @@ class Attendance:
         if self.able:
             return None
         if self._others:
-            others = ", ".join(sorted(map(str, self._others)))
             return (
-                f"no worker is alive that describes by {self._me.encoder}, as this service does, only by {others}: "
-                "start one of the same version with the same REVISIT_ENCODER"
+                f"no worker is alive that describes by {self._encoder}, as this service does, only by "
+                f"{', '.join(sorted(self._others))}: start one of the same version with the same REVISIT_ENCODER"
             )
         return (
             "no worker is alive to describe images: start one with `./revisit worker`, or `serve` without "
@@ -197,9 +197,8 @@ class Attendance:
                 self._on_freed()
             if dead:
                 log.warning("workers are gone: %s", ", ".join(sorted(dead)), extra={"event": "workers_gone"})
-            alive = [row.encoder for row in rows if row.name not in dead]
-            self._able = sum(encoder in (self._me.encoder, None) for encoder in alive)
-            self._others = {encoder for encoder in alive if encoder not in (self._me.encoder, None)}
+            encoders = [row.encoder or self._encoder for row in rows if row.name not in dead]
+            self._able, self._others = encoders.count(self._encoder), set(encoders) - {self._encoder}
         except RevisitError:
             self._seen = {}  # nobody could write: their silence says nothing
         except Exception:
