@@ -25,7 +25,7 @@ pytestmark = pytest.mark.one_database("the encoder is elsewhere, not the databas
 
 JPEG = {"content-type": "image/jpeg"}
 KEY = "0123456789abcdef0123456789abcdef"
-WAIT_S = 8.0
+WAIT_S = 16.0
 
 PATIENT_S = 40.0
 """Of a node whose encoder draws: finer labels take many times as long as a description, and a call gets a quarter."""
