@@ -17,7 +17,7 @@ def test_each_kind_of_caller_is_answered(
     monkeypatch.setenv("REVISIT_ENCODER", "color")
     monkeypatch.setenv("REVISIT_DATA", str(tmp_path / "mine"))
     kinds = ("turns", "drawings", "comparisons", "stopped", "slow")
-    main(["--kinds", *kinds, "--callers", "2", "--megapixels", "0.1", "--seconds", "1"])
+    main(["--kinds", *kinds, "--callers", "2", "--megapixels", "0.1", "--seconds", "3"])
     head, _, *rows = capsys.readouterr().out.splitlines()
     assert head.endswith("REVISIT_ENCODER=color")
     assert not (tmp_path / "mine").exists(), "the user's own data are left alone"
