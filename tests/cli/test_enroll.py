@@ -294,7 +294,7 @@ def test_a_missing_file_and_a_missing_table_are_both_wrong_use(folder: Path, cap
     photo, table = str(folder / "none.png"), str(folder / "none.csv")
     for missing, argv in ((photo, [photo]), (table, [str(folder), "--positions", table])):
         assert main(["enroll", *argv]) == 2
-        assert capsys.readouterr().err.endswith(f"revisit: {missing}: there is no such file or folder\n")
+        assert capsys.readouterr().err == f"revisit: {missing}: there is no such file or folder\n"
 
 
 def test_the_folder_can_name_the_place(service: FakeService, folder: Path) -> None:

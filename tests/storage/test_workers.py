@@ -19,12 +19,14 @@ from worker.storage.store import SqlStore
 FAR = replace(this_process("worker", "color"), name="far", host="another machine/pid:[1]")
 
 
-def watching(store: SqlStore, freed: Mock | None = None, me: WorkerRecord | None = None) -> Attendance:
-    """The attendance of a worker, whose rounds a test makes by itself."""
+def watching(
+    store: SqlStore, freed: Mock | None = None, me: WorkerRecord | None = None, *, works: bool = True
+) -> Attendance:
+    """The attendance of a worker, or of a process without one, whose rounds a test makes by itself."""
     return Attendance(
         store.workers,
         me or this_process("worker", "color"),
-        working=lambda: True,
+        working=(lambda: True) if works else None,
         every_s=3600,
         each_round=lambda: None,
         on_freed=freed or Mock(),
@@ -147,14 +149,7 @@ def test_two_services_with_workers_of_their_own_leave_each_other_their_jobs(stor
 
 
 def test_workers_with_another_encoder_are_told_from_those_that_describe_what_is_enrolled_here(store: SqlStore) -> None:
-    service = Attendance(
-        store.workers,
-        this_process("serve", "color"),
-        working=None,
-        every_s=3600,
-        each_round=lambda: None,
-        on_freed=Mock(),
-    )
+    service = watching(store, me=this_process("serve", "color"), works=False)
     service._round()
     assert service.able == 0
     assert "`./revisit worker`" in str(service.nobody)

@@ -42,13 +42,16 @@ sys.exit(main(sys.argv[-1:]))
 """
 """A process of revisit whose encoder fails or hangs; it counts as beyond help after some seconds."""
 
+LEASE = {"REVISIT_LEASE_S": "600"}
+"""The same for all: no job goes back because a lease has ended."""
+
 
 @contextmanager
 def ill_worker(data: Path, how: str, after_s: float) -> Iterator["subprocess.Popen[str]"]:
     """A worker of that kind."""
     process = subprocess.Popen(
         [sys.executable, "-c", ILL.format(how=how, after_s=after_s), "worker"],
-        env=variables(data),
+        env=variables(data, LEASE),
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -83,7 +86,7 @@ class FailingEncoder(RunningEncoder):
 def client(tmp_path: Path) -> Iterator[httpx.Client]:
     """Of a service that has no worker, and photos that wait for one."""
     with (
-        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service,
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", **LEASE) as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
         enrol_photos(client)
@@ -118,7 +121,9 @@ def test_a_worker_that_can_describe_nothing_ends_and_another_describes_them(
         assert f"ends, so that it is started anew: {why}" in said
         assert ("illegal memory access" in said) == (how == "fails")
     assert views(client) == {"pending": PHOTOS, "ready": 0, "failed": 0}
-    with worker(tmp_path):
+    jobs = client.get("/jobs?map=quay").json()["jobs"]
+    assert [(job["state"], job["attempts"]) for job in jobs] == [("waiting", 0)] * PHOTOS, "it put them back itself"
+    with worker(tmp_path, **LEASE):
         until(lambda: views(client)["ready"] == PHOTOS)
 
 
@@ -134,7 +139,7 @@ def test_a_worker_whose_encoder_hangs_ends_at_a_second_signal(client: httpx.Clie
 
     assert process.returncode == 1
     assert "stopped at once by a second SIGTERM" in said
-    with worker(tmp_path):
+    with worker(tmp_path, **LEASE):
         until(lambda: views(client)["ready"] == PHOTOS)
 
 

@@ -71,7 +71,7 @@ def test_a_map_is_carried_over_to_another_encoder_and_back(tmp_path: Path) -> No
 def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describe_them(tmp_path: Path) -> None:
     """As in a fleet that is brought to new weights node by node, or where one machine has other settings."""
     with (
-        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", REVISIT_LEASE_S="10") as service,
+        RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
 
@@ -84,7 +84,7 @@ def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describ
             return checked if answers_for in checked else None
 
         assert until(lambda: nobody(answers_for="`./revisit worker`"))
-        with worker(tmp_path, REVISIT_ENCODER="compact", REVISIT_LEASE_S="10"):
+        with worker(tmp_path, REVISIT_ENCODER="compact"):
             for name in PLACES:
                 kept = client.post(f"/enroll?wait=false&place={name}", content=photo(scene(name)), headers=JPEG)
                 assert kept.status_code == 202
@@ -94,7 +94,7 @@ def test_a_worker_with_another_encoder_leaves_the_photos_to_one_that_can_describ
             assert (hasty.status_code, hasty.json()["detail"].startswith(told)) == (503, True)
             time.sleep(2)
             assert views() == {"pending": len(PLACES), "ready": 0, "failed": 0}
-        with worker(tmp_path, REVISIT_LEASE_S="10"):
+        with worker(tmp_path):
             until(lambda: nobody(answers_for="ok"))
             until(lambda: views() == {"pending": 0, "ready": len(PLACES), "failed": 0})
 
