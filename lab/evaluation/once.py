@@ -7,7 +7,7 @@ from typing import Any
 
 from schemas.image import Image
 from worker.description.describer import Describer
-from worker.description.ports import Encoder, Segmenter
+from worker.description.ports import Encodes
 from worker.description.scheduler import Finish, Scheduler, T, Timed
 
 
@@ -18,8 +18,8 @@ class DescribeOnce(Scheduler):
     some hundreds of kilobytes. What is remembered was described in no time, so that times mean nothing here.
     """
 
-    def __init__(self, encoder: Encoder, batch: int, queries: int, segmenter: Segmenter | None = None) -> None:
-        super().__init__(encoder, batch, queries, segmenter)
+    def __init__(self, encoder: Encodes, batch: int, queries: int) -> None:
+        super().__init__(encoder, batch, queries)
         self._described: dict[tuple[str, str], Any] = {}
 
     def submit(
@@ -28,12 +28,11 @@ class DescribeOnce(Scheduler):
         finish: Finish[T],
         *,
         urgent: bool,
-        segment: bool = False,
         waits: bool = True,
         parallel: Callable[[Image], Any] | None = None,
     ) -> "Future[Timed[T]]":
         """As `Scheduler.submit`; at once where the image was described by the same recipe before."""
-        submit = partial(super().submit, image, finish, urgent=urgent, segment=segment, waits=waits, parallel=parallel)
+        submit = partial(super().submit, image, finish, urgent=urgent, waits=waits, parallel=parallel)
         describer = getattr(finish, "__self__", None)
         if not isinstance(describer, Describer) or finish != describer.describe:
             return submit()

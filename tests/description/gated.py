@@ -41,15 +41,6 @@ class GatedEncoder:
         raise AssertionError("not asked here")
 
 
-class FinerSegmenter:
-    """Sees four cells where the encoder sees one."""
-
-    shared = False
-
-    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
-        return PixelField({SEMANTIC: np.ones((2, 2, 1), np.float32)}, image.extent)
-
-
 def image(number: int) -> Image:
     return Image.of(np.full((32, 32, 3), number, np.uint8))
 

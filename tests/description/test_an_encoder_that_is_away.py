@@ -5,12 +5,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pytest
 
-from schemas.description import PixelField
+from schemas.description import SEMANTIC, PixelField
 from schemas.errors import EncoderAway, EncoderFails
 from schemas.image import Image
-from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
+from tests.description.gated import GatedEncoder, image, number_of
 from tests.waiting import PATIENCE_S, until
-from worker.description.scheduler import Scheduler
+from worker.description import blame
+from worker.description.scheduler import Scheduler, segmenting
 from worker.description.trial import tried
 
 
@@ -99,75 +100,50 @@ def test_where_nobody_has_time_to_wait_what_was_held_back_fails_at_once() -> Non
     scheduler.stop()
 
 
-def test_an_image_that_is_to_be_blurred_does_not_wait_for_an_encoder_that_is_away() -> None:
-    encoder = AwayEncoder()
-    scheduler = Scheduler(encoder, batch=3, queries=5, segmenter=FinerSegmenter())
-    blurred = [scheduler.submit(image(1), number_of, urgent=False, segment=True)]
-    described = [scheduler.submit(image(2), number_of, urgent=False)]  # in one batch with what is to be blurred
-    blurred.append(scheduler.submit(image(3), number_of, urgent=False, segment=True))
-    scheduler.start()
-    assert [one.result(PATIENCE_S).value for one in blurred] == [1, 3]
-    described.append(scheduler.submit(image(4), number_of, urgent=False))
-    later = scheduler.submit(image(5), number_of, urgent=False, segment=True)
+class AwaySegmenter:
+    """One that cannot be had until it is said to be there."""
 
-    assert later.result(PATIENCE_S).value == 5
-    assert not any(one.done() for one in described)
-    encoder.there = True
-    assert [one.result(PATIENCE_S).value for one in described] == [2, 4]
-    scheduler.stop()
-
-
-def test_a_drawing_says_nothing_of_an_encoder_that_is_away() -> None:
-    encoder = AwayEncoder()
-    scheduler = Scheduler(encoder, batch=1, queries=5, segmenter=FinerSegmenter())
-    scheduler.start()
-    enrolment = scheduler.submit(image(1), number_of, urgent=False)
-    with pytest.raises(EncoderAway):
-        scheduler.submit(image(2), number_of, urgent=True).result(PATIENCE_S)
-
-    assert scheduler.submit(image(3), number_of, urgent=True, segment=True).result(PATIENCE_S).value == 3
-    assert scheduler.away is not None
-    assert not enrolment.done()
-    scheduler.stop()
-
-
-class SharedSegmenter(FinerSegmenter):
-    """One of a shared encoder."""
-
-    shared = True
-
-    def __init__(self) -> None:
+    def __init__(self, error: Exception) -> None:
         self.there = False
         self.urgent: list[bool] = []
+        self._error = error
 
     def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
         self.urgent.append(urgent)
         if not self.there:
-            raise EncoderAway("its segmenter does not answer", 0)
-        return super().segment(image)
+            raise self._error
+        return PixelField({SEMANTIC: np.ones((2, 2, 1), np.float32)}, image.extent)
 
 
-def test_while_a_shared_segmenter_is_away_only_segmentations_are_told_or_wait() -> None:
-    encoder, segmenter = AwayEncoder(), SharedSegmenter()
-    encoder.there = True
-    scheduler = Scheduler(encoder, batch=4, queries=5, segmenter=segmenter)
-    patient = scheduler.submit(image(1), number_of, urgent=False, segment=True)
-    hurried = scheduler.submit(image(2), number_of, urgent=False, segment=True, waits=False)
-    described = scheduler.submit(image(3), number_of, urgent=False)  # in one batch with them
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (EncoderAway("its segmenter does not answer", 0), "its segmenter does not answer"),
+        (RuntimeError("CUDA error: unspecified launch failure"), "fails on every image"),
+    ],
+)
+def test_while_a_segmenter_is_away_drawings_are_told_and_what_is_to_be_blurred_may_wait(
+    error: Exception, said: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(blame, "REST_S", 0)
+    segmenter = AwaySegmenter(error)
+    scheduler = segmenting(segmenter, 5)
+    patient = scheduler.submit(image(1), number_of, urgent=False)
+    hurried = scheduler.submit(image(2), number_of, urgent=False, waits=False)
     scheduler.start()
 
-    with pytest.raises(EncoderAway, match="segmenter"):
+    with pytest.raises(EncoderAway, match=said):
         hurried.result(PATIENCE_S)
-    with pytest.raises(EncoderAway, match="segmenter"):
-        scheduler.submit(image(4), number_of, urgent=True, segment=True).result(PATIENCE_S)
-    assert described.result(PATIENCE_S).value == 3
-    assert scheduler.submit(image(5), number_of, urgent=True).result(PATIENCE_S).value == 5
-    assert scheduler.away is None
+    with pytest.raises(EncoderAway, match=said):
+        scheduler.submit(image(4), number_of, urgent=True).result(PATIENCE_S)
     assert not patient.done()
     assert set(segmenter.urgent) == {True, False}
     segmenter.there = True
     assert patient.result(PATIENCE_S).value == 1
     scheduler.stop()
+    events = [record.__dict__.get("event") for record in caplog.records]
+    assert (events[0], events[-1]) == ("segmenter_away", "segmenter_back")
+    assert "segmentations are refused or wait" in caplog.records[0].getMessage()
 
 
 def test_an_image_that_may_not_wait_is_told_at_once_that_the_encoder_is_away() -> None:

@@ -13,7 +13,7 @@ from schemas.description import PixelField
 from schemas.errors import Busy, Unavailable
 from schemas.image import Image
 from schemas.log_context import bound, fields
-from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
+from tests.description.gated import GatedEncoder, image, number_of
 from tests.waiting import PATIENCE_S
 from worker.description.priority import LOWER
 from worker.description.scheduler import Scheduler, Timed
@@ -246,22 +246,6 @@ def test_an_error_of_the_finish_belongs_to_its_request() -> None:
     with pytest.raises(ValueError, match="nothing static"):
         scheduler.submit(image(1), refuse, urgent=True).result(PATIENCE_S)
     assert scheduler.submit(image(2), number_of, urgent=True).result(PATIENCE_S).value == 2
-    scheduler.stop()
-
-
-def test_images_to_be_drawn_get_the_segmenters_field_among_others_that_do_not() -> None:
-    encoder = GatedEncoder()
-    encoder.gate.release(9)
-    scheduler = Scheduler(encoder, batch=4, queries=5, segmenter=FinerSegmenter())
-    wanted = [(1, False), (2, True), (3, False), (4, False)]
-
-    def number_and_rows(shown: Image, field: PixelField) -> tuple[int, int]:
-        return number_of(shown, field), field.shape[0]
-
-    futures = [scheduler.submit(image(n), number_and_rows, urgent=True, segment=segment) for n, segment in wanted]
-    scheduler.start()
-
-    assert [future.result(PATIENCE_S).value for future in futures] == [(1, 1), (2, 2), (3, 1), (4, 1)]
     scheduler.stop()
 
 

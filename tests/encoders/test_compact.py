@@ -18,7 +18,6 @@ from schemas.errors import SetupError
 from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
 from worker.configure import configure_torch
-from worker.description.scheduler import Scheduler
 from worker.encoders.choosing import make_encoder
 from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
 from worker.encoders.compact.ensemble import (
@@ -274,17 +273,8 @@ class TestSegmenter:
         expected = 2 * label + 4 * 1.4 * 0.5**6 * (0.5 * label + np.sqrt(0.75) * nothing)
         np.testing.assert_allclose(seen[0, 0], expected / np.linalg.norm(expected), atol=1e-4)
 
-    def test_without_any_member_the_finest_field_is_the_ordinary_one(self, copied: Path) -> None:
-        image = drawn(640, 480)
-        encoder = without(copied, *ENSEMBLE)
-        scheduler = Scheduler(encoder, 1, 5, encoder.segmenter())
-        scheduler.start()
-
-        shown = scheduler.submit(image, lambda _, field: field.semantic, urgent=True, segment=True).result(60).value
-        scheduler.stop()
-
-        assert encoder.segmenter() is None
-        assert np.array_equal(shown, next(encoder.encode([image])).semantic)
+    def test_without_any_member_there_is_no_segmenter(self, copied: Path) -> None:
+        assert without(copied, *ENSEMBLE).segmenter() is None
 
     @pytest.mark.parametrize("members", [1, 2])
     def test_without_a_later_member_those_before_it_are_believed(

@@ -29,7 +29,7 @@ from tests.waiting import PATIENCE_S
 from worker.encoders.choosing import batch_of, make_encoder, patience_of
 from worker.encoders.compact.encoder import CompactEncoder, weights_named
 from worker.encoders.compact.ensemble import digest_of
-from worker.encoders.compact.shared import SharedCompactEncoder
+from worker.encoders.compact.shared import SharedCompactEncoder, SharedSegmenter
 from worker.encoders.inference_client import FailedImage, InferenceClient
 
 SIZES = ((640, 480), (640, 480), (300, 400), (97, 97), (64, 48))
@@ -102,7 +102,6 @@ def test_what_is_drawn_is_the_same_to_the_byte_and_no_network_is_loaded(
 
     assert mine is not None
     assert other is not None
-    assert (mine.shared, other.shared) == (True, False)
     here, there = other.segment(image), mine.segment(image)
     assert (there.semantic.tobytes(), there.extent) == (here.semantic.tobytes(), here.extent)
     assert segmenting.received[-1][0] == f"/v2/models/compact-segmenter-{local.segmenter_digest[:12]}/infer"
@@ -120,7 +119,7 @@ def test_where_it_has_no_segmenter_the_drawings_are_made_here(
     assert "makes no segmentations as this version does; they are made here" in caplog.text
     assert mine is not None
     assert other is not None
-    assert not mine.shared
+    assert not isinstance(mine, SharedSegmenter)
     assert np.array_equal(mine.segment(image).semantic, other.segment(image).semantic)
     shared.close()
 

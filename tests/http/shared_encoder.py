@@ -38,7 +38,7 @@ class GatedEncoder(ColorEncoder):
 class GatedSegmenter:
     """Draws the first pixel of each scale, whenever the test lets it."""
 
-    shared, digest, scales = False, "d" * 64, 2
+    digest, scales = "d" * 64, 2
 
     def __init__(self) -> None:
         self.open = threading.Event()

@@ -1,4 +1,4 @@
-"""Large photos take seconds to draw over and to write as PNG; a robot's query does not wait for that."""
+"""Segmentations take as long as a dozen queries, and large photos seconds to draw over; no query waits for that."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -8,15 +8,22 @@ from typing import Any
 
 import pytest
 
+from scenes import scene
+from schemas.description import PixelField
+from schemas.image import Image
 from schemas.records import ViewAttributes
 from schemas.settings import Settings
 from tests.sample_images import drawn, encoded
 from tests.waiting import PATIENCE_S
+from worker.description.presets import Wanted
+from worker.encoders.color import ColorEncoder
 from worker.images import drawing
 from worker.runtime import Runtime, build
+from worker.runtime.services import Services
 
 pytestmark = pytest.mark.one_database("it is about what is drawn")
 
+HALL = [encoded(scene("hall").pixels, form) for form in ("png", "jpeg")]
 PHOTO = encoded(drawn(320, 240, 0), "jpeg")
 
 
@@ -68,6 +75,55 @@ def test_a_query_is_answered_while_something_is_drawn(
         finally:
             go_on.set()
         assert png.result(PATIENCE_S) == b"drawn"
+
+
+class HeldSegmenter:
+    """Segments once the test lets it."""
+
+    def __init__(self) -> None:
+        self.begun, self.go_on = threading.Event(), threading.Event()
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
+        self.begun.set()
+        assert self.go_on.wait(2 * PATIENCE_S)
+        return next(ColorEncoder().encode([image]))
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda services, view, _: services.renderings.segmentation(view, overlay=False),
+        lambda services, *_: services.enroll.enroll(HALL[0], "shop", ViewAttributes(), patience_s=PATIENCE_S),
+        lambda services, view, earlier: services.changes.between(view, earlier),
+    ],
+    ids=["a drawing", "a photo that is blurred", "a comparison"],
+)
+def test_a_query_is_answered_while_something_is_segmented(
+    tmp_path: Path, ask: Callable[[Services, str, str], object]
+) -> None:
+    segmenter = HeldSegmenter()
+    settings = Settings(data=tmp_path, encoder="color", threads=1)
+    runtime = build(settings, make_encoder=lambda *_: (ColorEncoder(), segmenter))
+    runtime.start()
+    services = runtime.services
+    services.maps.put("shop", Wanted())
+    services.maps.change("shop", blur=["car"])
+    earlier, view = (
+        services.enroll.enroll(photo, "town", ViewAttributes(place="hall"), patience_s=PATIENCE_S).view.id
+        for photo in HALL
+    )
+    with ThreadPoolExecutor(2) as threads:
+        try:
+            slow_one = threads.submit(ask, services, view, earlier)
+            assert segmenter.begun.wait(PATIENCE_S)
+            answer = threads.submit(services.query.query, HALL[1], "town").result(PATIENCE_S)
+
+            assert view in [match.view.id for match in answer.results.views]
+            assert not slow_one.done()
+        finally:
+            segmenter.go_on.set()
+        assert slow_one.result(PATIENCE_S)
+    runtime.stop()
 
 
 def test_what_goes_wrong_while_drawing_reaches_the_caller_and_nobody_else(

@@ -24,8 +24,6 @@ pytestmark = pytest.mark.one_database("it is about what is drawn")
 class StripesOfSkyAndRoad:
     """Every other column of the picture's own pixels is sky, the others are road."""
 
-    shared = False
-
     def __init__(self, encoder: ColorEncoder) -> None:
         self._text = encoder.text_vectors(["sky", "road"])
 
@@ -48,6 +46,7 @@ def test_a_segmentation_is_drawn_from_the_segmenters_field_and_nothing_else_is(t
         view = client.post("/enroll", **photo).json()["view"]
         description, links = view["description"], view["links"]
         graph, overlay = client.get(links["graph"]).content, client.get(f"{links['segmentation']}?overlay=true").content
+        assert client.get(links["segmentation"]).headers["revisit-drawn-by"] == "encoder"
     with CheckedClient(create_app(striped)) as client:
         view = client.post("/enroll", **photo).json()["view"]
         links = view["links"]

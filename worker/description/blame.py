@@ -7,7 +7,7 @@ import numpy as np
 from schemas.description import PixelField
 from schemas.errors import EncoderAway, EncoderFails
 from schemas.image import Image
-from worker.description.ports import Encoder
+from worker.description.ports import Encodes
 
 PLAIN = Image(np.full((480, 640, 3), 127, np.uint8), "0" * 64)
 """An image that no encoder should fail on, of a usual size: it needs as much memory as those of callers."""
@@ -16,8 +16,8 @@ REST_S = 5
 """Seconds between attempts while the encoder fails."""
 
 
-def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
-    """The fields of images, as `Encoder.encode` makes them.
+def encoded(encoder: Encodes, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
+    """The fields of images, as `Encodes.encode` makes them.
 
     Where that fails, the encoder is tried on a plain image. If it fails there too, as on a GPU that is lost or without
     memory, these images would fail for nothing of their own. If it does not, they are tried once more: it may have got
@@ -55,7 +55,7 @@ def encoded(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Itera
     yield from _sound(encoder, images[done:], urgent=urgent)
 
 
-def _sound(encoder: Encoder, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
+def _sound(encoder: Encodes, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
     """What an encoder makes of images; raises ValueError where that is no field, as half precision may overflow."""
     for field in encoder.encode(images, urgent=urgent):
         if not all(np.isfinite(layer.sum()) for layer in field.layers.values()):

@@ -8,7 +8,27 @@ from schemas.image import Image
 from schemas.records import Meaning
 
 
-class Encoder(Protocol):
+class Encodes(Protocol):
+    """Turns images into pixel fields."""
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        """One field per image, in order, each independent of the others in the batch.
+
+        Parameters
+        ----------
+        images : sequence of Image
+        urgent : bool
+            Whether somebody waits for the answer, as for a query: where others send images too, these go first.
+
+        Raises
+        ------
+        EncoderAway
+            From a shared encoder: it cannot be had now.
+        """
+        ...
+
+
+class Encoder(Encodes, Protocol):
     """Turns images into pixel fields of language-aligned embeddings. Deterministic on one machine type."""
 
     @property
@@ -36,22 +56,6 @@ class Encoder(Protocol):
         """Labels with a text vector; None when it computes one for any label."""
         ...
 
-    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
-        """One field per image, in order, each independent of the others in the batch.
-
-        Parameters
-        ----------
-        images : sequence of Image
-        urgent : bool
-            Whether somebody waits for the answer, as for a query: where others send images too, these go first.
-
-        Raises
-        ------
-        EncoderAway
-            From a shared encoder: it cannot be had now.
-        """
-        ...
-
     def text_vectors(self, labels: Sequence[str]) -> Floats:
         """Text vectors of labels, float32 of shape (labels, channels of the layer ``semantic``).
 
@@ -72,11 +76,6 @@ class Encoder(Protocol):
 
 class Segmenter(Protocol):
     """Segments an image on a finer grid than an encoder, for drawings and blurring; nothing of it is stored."""
-
-    @property
-    def shared(self) -> bool:
-        """Whether its networks are those of a shared encoder, which may be away."""
-        ...
 
     def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
         """A field with the layer ``semantic`` on the finer grid, in the space of the encoder's text vectors.

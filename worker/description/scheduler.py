@@ -1,13 +1,13 @@
-"""The scheduler of the encoder: batches images, in the order of `worker.description.turns`."""
+"""The scheduler of a network: batches images, in the order of `worker.description.turns`."""
 
 import contextvars
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from itertools import count, groupby
+from itertools import count
 from typing import Any, Generic, TypeVar
 
 from schemas.description import PixelField
@@ -15,7 +15,7 @@ from schemas.errors import Busy, EncoderAway, EncoderFails, Unavailable
 from schemas.image import Image
 from schemas.threads import Threads
 from worker.description.blame import encoded
-from worker.description.ports import Encoder, Segmenter
+from worker.description.ports import Encodes, Segmenter
 from worker.description.priority import step_aside
 from worker.description.turns import CLOSE, ENROLMENT, QUERY, Turns, Waiting
 
@@ -30,6 +30,32 @@ HOPELESS_S = 60.0
 
 HANGS_S = 600.0
 """Seconds with the same images after which it is given up: on a starved machine one may take minutes."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a scheduler's network is to those who wait for it.
+
+    Parameters
+    ----------
+    name : str
+        Of the network.
+    requests : str
+        What callers send, as a refusal names it.
+    while_away : str
+        What becomes of requests while the network is away, as a line of the log says it.
+    steps_aside : bool
+        Whether its thread leaves short cores to the others of the process.
+    """
+
+    name: str
+    requests: str
+    while_away: str
+    steps_aside: bool
+
+
+ENCODER = Role("encoder", "queries", "queries are refused and enrolments wait", steps_aside=False)
+SEGMENTER = Role("segmenter", "segmentations", "segmentations are refused or wait", steps_aside=True)
 
 
 @dataclass(frozen=True)
@@ -56,7 +82,6 @@ class _Request(Waiting):
     finish: Finish[Any]
     future: "Future[Timed[Any]]"
     since: float
-    segment: bool = False
     waits: bool = True
     parallel: Callable[[Image], Any] | None = None
     made: "Future[Any] | None" = None
@@ -68,7 +93,7 @@ class _Request(Waiting):
 
 
 class Scheduler:
-    """One thread runs the encoder, two more run `parallel` and `finish` functions while it is busy.
+    """One thread runs the network, two more run `parallel` and `finish` functions while it is busy.
 
     Work that does not need the pixel field (local features) runs parallel to the encoder; that of queries has a thread
     of its own, so that it does not wait for enrolments. An enrolment is described while the next image is encoded, at a
@@ -84,18 +109,16 @@ class Scheduler:
 
     Parameters
     ----------
-    encoder : Encoder
+    encoder : Encodes
     batch : int
         Images encoded together. On a CPU 1 is as fast, and queries wait less.
     queries : int
         Queries that may wait; more are refused with Busy.
-    segmenter : Segmenter, optional
-        Makes the fields of requests with `segment`; without one the encoder does.
+    role : Role
     """
 
-    def __init__(self, encoder: Encoder, batch: int, queries: int, segmenter: Segmenter | None = None) -> None:
-        self._encoder = encoder
-        self._segmenter = segmenter
+    def __init__(self, encoder: Encodes, batch: int, queries: int, role: Role = ENCODER) -> None:
+        self._encoder, self._role = encoder, role
         self._batch = batch
         self._queries = queries
         self._queue: Turns[_Request] = Turns()
@@ -110,7 +133,6 @@ class Scheduler:
         self._away: EncoderAway | None = None
         self._away_since = self._away_last = 0.0
         self._serving_since: float | None = None
-        self._segmenter_away = False
         self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
         self._describing = Threads(1, "revisit-describing", step_aside)
@@ -145,22 +167,17 @@ class Scheduler:
     def beyond_help(self) -> str | None:
         """What only another process mends, in words; None while there is nothing of the kind."""
         if not self.alive:
-            return "the encoder's thread has ended"
+            return f"the {self._role.name}'s thread has ended"
         lasted_s = self._away_last - self._away_since
         if isinstance(self._away, EncoderFails) and lasted_s >= HOPELESS_S:
-            return f"the encoder has failed on every image for {lasted_s:.0f} s"
+            return f"the {self._role.name} has failed on every image for {lasted_s:.0f} s"
         since = self._serving_since
         if since is not None and (lasted_s := time.monotonic() - since) >= HANGS_S:
-            return f"the encoder has been at one image for {lasted_s:.0f} s"
+            return f"the {self._role.name} has been at one image for {lasted_s:.0f} s"
         return None
 
-    @property
-    def segments(self) -> bool:
-        """Whether requests with `segment` are encoded by a network of their own."""
-        return self._segmenter is not None
-
     def start(self) -> None:
-        """Start the encoder's thread."""
+        """Start the network's thread."""
         self._thread.start()
 
     def stop_waiting(self) -> None:
@@ -188,7 +205,6 @@ class Scheduler:
         finish: Finish[T],
         *,
         urgent: bool,
-        segment: bool = False,
         waits: bool = True,
         parallel: Callable[[Image], Any] | None = None,
     ) -> "Future[Timed[T]]":
@@ -201,8 +217,6 @@ class Scheduler:
             Called in a thread of the scheduler with the image, its pixel field and, if given, the result of `parallel`.
         urgent : bool
             True for queries, False for enrolments.
-        segment : bool
-            Whether the field comes from the segmenter, for drawings and blurring.
         waits : bool
             Whether an enrolment waits while a shared encoder is away, or fails with EncoderAway as queries do.
         parallel : function, optional
@@ -221,14 +235,12 @@ class Scheduler:
                 raise Unavailable("the service is stopping", 5)
             if urgent:
                 if self._pending_queries >= self._queries:
-                    raise Busy.queue(self._pending_queries, self._pace_s, "queries")
+                    raise Busy.queue(self._pending_queries, self._pace_s, self._role.requests)
                 self._pending_queries += 1
                 future.add_done_callback(self._answered)
             urgency = QUERY if urgent else ENROLMENT
             self._queue.put(
-                _Request(
-                    urgency, next(self._numbers), image, finish, future, time.perf_counter(), segment, waits, parallel
-                )
+                _Request(urgency, next(self._numbers), image, finish, future, time.perf_counter(), waits, parallel)
             )
         return future
 
@@ -237,6 +249,8 @@ class Scheduler:
             self._pending_queries -= 1
 
     def _run(self) -> None:
+        if self._role.steps_aside:
+            step_aside()
         while (first := self._next()).urgency != CLOSE:
             batch = [first]
             while len(batch) < self._batch and (following := self._queue.get_alike(first)) is not None:
@@ -256,7 +270,7 @@ class Scheduler:
             if request.urgency == CLOSE and self._held:
                 self._let_go()  # they come before it
                 self._queue.put(request)
-            elif self._held and self._may_wait(request) and (self._away is not None or not self._encodes(request)):
+            elif self._away is not None and self._held and self._may_wait(request):
                 self._held.append(request)
             else:
                 return request
@@ -268,49 +282,36 @@ class Scheduler:
             self._queue.put(request)
 
     def _put_off(self, left: list[_Request], error: EncoderAway) -> None:
-        """Fail requests whose callers wait, since the encoder or its segmenter is away, and hold the others back."""
-        segmenter_alone = not self._encodes(left[0])
-        if segmenter_alone:
-            if not self._segmenter_away:
-                log.error("%s; segmentations are refused or wait", error.detail, extra={"event": "segmenter_away"})
-            self._segmenter_away = True
-        else:
-            self._away_last = time.monotonic()
-            if self._away is None:
-                self._away_since = self._away_last
-                log.error(
-                    "%s; queries are refused and enrolments wait",
-                    error.detail,
-                    extra={"event": "encoder_away"},
-                    exc_info=error.__cause__,
-                )
-            self._away = error
+        """Fail requests whose callers wait, since the network is away, and hold the others back."""
+        self._away_last = time.monotonic()
+        if self._away is None:
+            self._away_since = self._away_last
+            log.error(
+                "%s; %s",
+                error.detail,
+                self._role.while_away,
+                extra={"event": f"{self._role.name}_away"},
+                exc_info=error.__cause__,
+            )
+        self._away = error
         self._rest_until = time.monotonic() + error.retry_after_s
         for request in left:
-            if (segmenter_alone and self._encodes(request)) or not self._may_be_away(request):
-                self._queue.put(request)
-            elif self._may_wait(request):
+            if self._may_wait(request):
                 self._held.append(request)
             else:
                 request.future.set_exception(type(error)(error.detail, error.retry_after_s))
 
-    def _encodes(self, request: _Request) -> bool:
-        """Whether a request needs the encoder, and not the segmenter."""
-        return not request.segment or self._segmenter is None
-
-    def _may_be_away(self, request: _Request) -> bool:
-        """Whether what a request needs may be away."""
-        return self._encodes(request) or (self._segmenter is not None and self._segmenter.shared)
-
     def _may_wait(self, request: _Request) -> bool:
-        return self._waits and request.waits and request.urgency == ENROLMENT and self._may_be_away(request)
+        return self._waits and request.waits and request.urgency == ENROLMENT
 
     def _came_back(self) -> None:
         self._away = None
         self._let_go()
-        log.warning("the encoder is back", extra={"event": "encoder_back"})
+        log.warning("the %s is back", self._role.name, extra={"event": f"{self._role.name}_back"})
 
     def _serve(self, batch: list[_Request]) -> None:
+        if not batch:
+            return
         began = time.perf_counter()
         timed = 0
         try:
@@ -318,17 +319,15 @@ class Scheduler:
                 if request.parallel is not None and request.made is None:
                     thread = self._parallel_queries if request.urgency == QUERY else self._describing
                     request.made = thread.submit(request.context.copy().run, request.parallel, request.image)
-            fields = self._fields(batch)
+            fields = encoded(self._encoder, [r.image for r in batch], urgent=batch[0].urgency == QUERY)
             for request in batch:
                 encoding = time.perf_counter()
                 pixel_field = next(fields)
-                encoded = time.perf_counter()
+                made = time.perf_counter()
                 self._encoded += 1
-                if not self._encodes(request):
-                    self._segmenter_away = False
-                elif self._away is not None:
+                if self._away is not None:
                     self._came_back()
-                waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
+                waited_ms, encode_ms = (began - request.since) * 1000, (made - encoding) * 1000
                 if request.urgency == QUERY:
                     _finish(request, pixel_field, waited_ms, encode_ms)
                 else:
@@ -344,20 +343,9 @@ class Scheduler:
                     self._serve([request])
                 return
             for request in left:
-                request.context.run(log.exception, "the encoder failed on an image")
+                request.context.run(log.exception, "the %s failed on an image", self._role.name)
                 request.future.set_exception(error)
-        if batch:
-            self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
-
-    def _fields(self, batch: list[_Request]) -> Iterator[PixelField]:
-        urgent = batch[0].urgency == QUERY
-        for segment, alike in groupby(batch, key=lambda request: request.segment):
-            images = [request.image for request in alike]
-            if segment and self._segmenter is not None:
-                for image in images:
-                    yield self._segmenter.segment(image, urgent=urgent)
-            else:
-                yield from encoded(self._encoder, images, urgent=urgent)
+        self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
 
 
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:
@@ -374,3 +362,26 @@ def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_
 def field_alone(image: Image, field: PixelField) -> PixelField:
     """The `finish` function of a request for the pixel field itself."""
     return field
+
+
+class _Segmentations:
+    """What a scheduler runs to have images segmented."""
+
+    def __init__(self, segmenter: Segmenter) -> None:
+        self._segmenter = segmenter
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        """See `Encodes.encode`."""
+        return (self._segmenter.segment(image, urgent=urgent) for image in images)
+
+
+def segmenting(segmenter: Segmenter, most: int) -> Scheduler:
+    """A scheduler of segmentations, which take as long as a dozen descriptions each: no query waits for one.
+
+    Parameters
+    ----------
+    segmenter : Segmenter
+    most : int
+        Drawings that may wait; more are refused with Busy.
+    """
+    return Scheduler(_Segmentations(segmenter), 1, most, SEGMENTER)

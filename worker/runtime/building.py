@@ -63,11 +63,12 @@ class Runtime(Parts):
     unlock: Callable[[], None]
 
     def start(self) -> None:
-        """Clean up after a crash, then start the scheduler and the loop."""
+        """Clean up after a crash, then start the schedulers and the loop."""
         alone = self.serving and self.store.recover()  # a worker would delete the calls that the service is answering
         self.decoder.start()
         self.attendance.start(alone=alone)
-        self.scheduler.start()
+        for scheduler in self._schedulers:
+            scheduler.start()
         if self.loop is not None:
             self.loop.start()
         self.bell.start(waits=self.serving)
@@ -77,7 +78,11 @@ class Runtime(Parts):
         """What only a restart mends while this process runs, in words; None while there is nothing of the kind."""
         if self.loop is not None and not self.loop.whole:
             return "a thread of the worker has ended"
-        return self.scheduler.beyond_help
+        return next((reason for one in self._schedulers if (reason := one.beyond_help)), None)
+
+    @property
+    def _schedulers(self) -> list[Scheduler]:
+        return [one for one in (self.scheduler, self.segmenting) if one is not None]
 
     def leave(self) -> None:
         """Put jobs back and sign off, before the process ends without `stop`: what that waits for may hang."""
@@ -91,12 +96,14 @@ class Runtime(Parts):
 
     def stop(self) -> None:
         """Finish running work, put waiting jobs back, and release the data folder."""
-        self.scheduler.stop_waiting()
+        for scheduler in self._schedulers:
+            scheduler.stop_waiting()
         if self.loop is not None:
             self.loop.stop()
         self.attendance.stop()
         self.bell.stop()
-        self.scheduler.stop()
+        for scheduler in self._schedulers:
+            scheduler.stop()
         self.decoder.close()
         self.services.query.scores.stop()
         self.catalogue.close()

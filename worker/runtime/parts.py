@@ -8,7 +8,7 @@ from schemas.settings import MEGA, Settings
 from worker.description.describers import Describers
 from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, general_vocabulary
-from worker.description.scheduler import Scheduler
+from worker.description.scheduler import Scheduler, segmenting
 from worker.encoders.choosing import batch_of
 from worker.images import codec
 from worker.images.apart.pool import make_decoder
@@ -45,6 +45,8 @@ class Parts:
     decoder : Decoder
     scheduler : Scheduler
         Owns the encoder.
+    segmenting : Scheduler or None
+        Owns the segmenter, if there is one.
     describers : Describers
     catalogue : Catalogue
         Of the maps' indexes.
@@ -73,6 +75,7 @@ class Parts:
     store: SqlStore
     decoder: Decoder
     scheduler: Scheduler
+    segmenting: Scheduler | None
     describers: Describers
     catalogue: Catalogue
     selecting: Selecting
@@ -112,7 +115,8 @@ def make_parts(
     reserve = int(settings.reserve_mb * MEGA)
     store = open_store(settings.database_url, settings.data, reserve, settings.images, settings.index)
     store.refuse_foreign()
-    scheduler = make_scheduler(encoder, batch_of(settings), settings.queries, segmenter)
+    scheduler = make_scheduler(encoder, batch_of(settings), settings.queries)
+    segmentations = None if segmenter is None else segmenting(segmenter, settings.queries)
     product = make_product(settings)
     general = [general_vocabulary(encoder, name) for name in PRESETS]
     describers = Describers(encoder, store.vocabularies, general, product)
@@ -130,7 +134,7 @@ def make_parts(
         decode=partial(decoder.decode, patient=True, stored=True), calibration=calibration_of,
         shipped=shipped_calibration, product=product,
     )  # fmt: skip
-    blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
+    blurring = Blurring(encoder, segmentations or scheduler, codec.Limits.of(settings).max_bytes)
     decoded = DecodedImages(settings.handed_on_pixel_bytes if describes else 0)
     return Parts(
         settings=settings,
@@ -138,6 +142,7 @@ def make_parts(
         store=store,
         decoder=decoder,
         scheduler=scheduler,
+        segmenting=segmentations,
         describers=describers,
         catalogue=catalogue,
         selecting=selecting,

@@ -99,11 +99,12 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     stored = partial(decoder.decode, stored=True)
     renderings = RenderingService(
         maps=store.maps, views=store.views, descriptions=store.descriptions, describers=describers,
-        scheduler=scheduler, decode=stored, thumbnail=decoder.thumbnail, explanations=explanations,
+        scheduler=scheduler, segmenting=parts.segmenting, decode=stored, thumbnail=decoder.thumbnail,
+        explanations=explanations,
     )  # fmt: skip
     changes = ChangeService(
-        maps=store.maps, views=store.views, describers=describers, scheduler=scheduler, decode=stored,
-        explanations=explanations,
+        maps=store.maps, views=store.views, describers=describers, scheduler=scheduler, segmenting=parts.segmenting,
+        decode=stored, explanations=explanations,
     )  # fmt: skip
     scores = ScoreKeeper(store.day_scores)
     proposals = ProposalService(maps=store.maps, views=store.views, kept=store.kept_queries, enroll=enroll)

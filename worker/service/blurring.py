@@ -100,6 +100,7 @@ class Blurring:
     ----------
     encoder : Encoder
     scheduler : Scheduler
+        Of the segmenter, or of the encoder where there is none.
     most_bytes : int
         Of a blurred image, as it is stored.
     """
@@ -171,7 +172,7 @@ class Blurring:
         def find(image: Image, field: PixelField) -> Booleans:
             return covered(labels.scores(field.semantic, vectors), is_wanted)
 
-        return self._scheduler.submit(image, find, urgent=urgent, segment=True, waits=waits).result().value
+        return self._scheduler.submit(image, find, urgent=urgent, waits=waits).result().value
 
     def _named(self, word: str) -> list[str]:
         """The labels that a word names and the encoder knows."""

@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -102,7 +101,8 @@ class ChangeService:
     maps, views
         Parts of the store.
     describers : Describers
-    scheduler : Scheduler
+    scheduler, segmenting
+        See `worker.runtime.parts.Parts`.
     decode : function
         Bytes to Image; raises BadImage.
     explanations : Explanations
@@ -116,11 +116,13 @@ class ChangeService:
         views: Views,
         describers: Describers,
         scheduler: Scheduler,
+        segmenting: Scheduler | None,
         decode: Callable[[bytes], Image],
         explanations: Explanations,
     ) -> None:
         self._maps, self._views, self._describers = maps, views, describers
-        self._scheduler, self._decode, self._explanations = scheduler, decode, explanations
+        self._scheduler, self._segmenting = scheduler, segmenting
+        self._decode, self._explanations = decode, explanations
         self._recent: Latest[tuple[str, str, str], Comparison] = Latest(RECENT)
 
     def between(self, view_id: str, since: str) -> Comparison:
@@ -244,9 +246,10 @@ class ChangeService:
 
     def _look(self, image: Image, recipe: DescriptionRecipe) -> PhotoCells:
         """An image as cells: embeddings of the encoder, labels of the segmenter where there is one."""
-        submit = partial(self._scheduler.submit, image, field_alone, urgent=True)
-        field = submit().result().value
-        segmented = submit(segment=True).result().value if self._scheduler.segments else field
+        field = self._scheduler.submit(image, field_alone, urgent=True).result().value
+        segmented = field
+        if self._segmenting is not None:
+            segmented = self._segmenting.submit(image, field_alone, urgent=True).result().value
         return self._describers.of(recipe).photo_cells(field, segmented)
 
 

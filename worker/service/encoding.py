@@ -13,7 +13,7 @@ from schemas.image import Bytes2D, Image, PreparedImage
 from schemas.inference import model_name, segmenter_name
 from schemas.records import Meaning
 from worker.description.ports import Encoder, Segmenter
-from worker.description.scheduler import Scheduler, Timed, field_alone
+from worker.description.scheduler import Scheduler, Timed, field_alone, segmenting
 from worker.description.trial import tried
 
 MOST_SEGMENTED = 8
@@ -73,8 +73,7 @@ class EncodingService:
         self._lock = threading.Lock()
         self._waiting = {True: 0, False: 0}
         self._scheduler = Scheduler(_Observed(encoder, observe), batch, most)
-        # With a thread of its own, so that no query waits for a drawing.
-        self._segmenting = None if segmenter is None else Scheduler(encoder, 1, MOST_SEGMENTED, segmenter)
+        self._segmenting = None if segmenter is None else segmenting(segmenter, MOST_SEGMENTED)
         self._segmented = 0
 
     @property
@@ -169,7 +168,7 @@ class EncodingService:
                 )
             self._segmented += 1
         try:
-            future = self._segmenting.submit(image, field_alone, urgent=urgent, segment=True)
+            future = self._segmenting.submit(image, field_alone, urgent=urgent)
         except RevisitError:
             self._segmentation_ended()
             raise

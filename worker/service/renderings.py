@@ -34,7 +34,7 @@ GRAPHED = "Regions of the encoder's cells, as the method compares them. segmenta
 class RenderingService:
     """The use-cases that return images.
 
-    What is drawn over a photo is found in the encoder's thread and drawn in the caller's, so that no query waits for a
+    What is drawn over a photo is found in a network's thread and drawn in the caller's, so that no query waits for a
     drawing; one at a time, since large photos take much memory.
 
     Parameters
@@ -42,7 +42,8 @@ class RenderingService:
     maps, views, descriptions
         Parts of the store.
     describers : Describers
-    scheduler : Scheduler
+    scheduler, segmenting
+        See `worker.runtime.parts.Parts`.
     decode : function
         Bytes to Image; raises BadImage.
     thumbnail : function
@@ -59,12 +60,13 @@ class RenderingService:
         descriptions: DescriptionReader,
         describers: Describers,
         scheduler: Scheduler,
+        segmenting: Scheduler | None,
         decode: Callable[[bytes], Image],
         thumbnail: Callable[[bytes, int], bytes],
         explanations: Explanations,
     ) -> None:
         self._maps, self._views, self._descriptions = maps, views, descriptions
-        self._describers, self._scheduler = describers, scheduler
+        self._describers, self._scheduler, self._segmenting = describers, scheduler, segmenting
         self._decode, self._thumbnail, self._explanations = decode, thumbnail, explanations
         self._drawing = threading.Lock()
 
@@ -103,7 +105,7 @@ class RenderingService:
         owner, image = self._source(view_id)
         if overlay:
             return self.draw_overlay(image, owner, legend=legend)
-        labels = self._found(image, owner, Describer.segment, segment=True).labels
+        labels = self._found(image, owner, Describer.segment, self._segmenting or self._scheduler).labels
         with self._drawing:
             return drawing.segmentation_png(labels, (image.width, image.height), owner.description.labels)
 
@@ -115,7 +117,7 @@ class RenderingService:
     def draw_overlay(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its labels by a map's recipe blended over it, dynamic cells grey, as PNG; raises Busy."""
         caption = SEGMENTED if self.segmented_by == "segmenter" else ""
-        found = self._found(image, owner, Describer.segment, segment=True)
+        found = self._found(image, owner, Describer.segment, self._segmenting or self._scheduler)
         labels = owner.description.labels
         with self._drawing:
             return drawing.overlay_png(image.pixels, found.labels, labels, found.static, legend=legend, caption=caption)
@@ -123,7 +125,7 @@ class RenderingService:
     def draw_graph(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its context graph by a map's recipe drawn over it, as PNG; raises Busy."""
         caption = GRAPHED if self.segmented_by == "segmenter" else ""
-        graph, recipe = self._found(image, owner, _graph, segment=False), owner.description
+        graph, recipe = self._found(image, owner, _graph, self._scheduler), owner.description
         with self._drawing:
             return drawing.graph_png(
                 image.pixels,
@@ -138,7 +140,7 @@ class RenderingService:
     @property
     def segmented_by(self) -> Network:
         """The network whose labels a segmentation shows. A context graph is always that of the encoder."""
-        return "segmenter" if self._scheduler.segments else "encoder"
+        return "encoder" if self._segmenting is None else "segmenter"
 
     def maps_of_query(self, query_id: str) -> tuple[str, ...]:
         """The maps that an explained query was asked of: what is drawn may be of any; raises NotFound."""
@@ -193,14 +195,16 @@ class RenderingService:
         owner = self._maps.get(self._views.get(view_id).map)
         return owner, self._decode(self._views.image(view_id))
 
-    def _found(self, image: Image, owner: MapRecord, find: Callable[[Describer, PixelField], T], *, segment: bool) -> T:
-        """What a map's describer finds in the pixel field of an image; raises Busy."""
+    def _found(
+        self, image: Image, owner: MapRecord, find: Callable[[Describer, PixelField], T], scheduler: Scheduler
+    ) -> T:
+        """What a map's describer finds in the field that a scheduler's network makes of an image; raises Busy."""
         describer = self._describers.of(owner.description)
 
         def finish(_: Image, field: PixelField) -> T:
             return find(describer, field)
 
-        return self._scheduler.submit(image, finish, urgent=True, segment=segment).result().value
+        return scheduler.submit(image, finish, urgent=True).result().value
 
 
 def refuse_forgotten(view: ViewRecord, owner: MapRecord) -> None:

@@ -78,8 +78,6 @@ class CompactSegmenter:
         `digest_of` its weights.
     """
 
-    shared = False
-
     def __init__(self, engine: Engine, vectors: Floats, members: int, digest: str) -> None:
         self._engine, self._vectors, self._members = engine, vectors, members
         self.digest = digest

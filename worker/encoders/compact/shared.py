@@ -151,8 +151,6 @@ class SharedSegmenter(CompactSegmenter):
         Of the ensemble.
     """
 
-    shared = True
-
     def __init__(self, client: InferenceClient, name: str, digest: str, members: int) -> None:
         self._client, self._model, self._members = client, segmenter_name(name, digest), members
         self.digest = digest
