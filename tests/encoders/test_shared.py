@@ -146,6 +146,22 @@ def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_no
     shared.close()
 
 
+def test_a_segmentation_may_take_twice_as_long_to_begin(segmenting: InferenceServer) -> None:
+    shared = SharedCompactEncoder(segmenting.url, None, PATIENCE_S)
+    image, segmenter = Image.of(drawn(64, 48)), shared.segmenter()
+    assert segmenter is not None
+    shared._client._patience_s = SHORT_S
+    segmenting.answer = hangs
+
+    with pytest.raises(EncoderAway, match=f"does not answer within {2 * SHORT_S:.1f} s"):
+        segmenter.segment(image)
+
+    parameters = segmenting.received[-1][1]["parameters"]
+    assert isinstance(parameters, dict)
+    assert parameters["timeout"] == 2 * SHORT_S * 1_000_000
+    shared.close()
+
+
 def test_all_that_decides_a_drawing_is_in_its_name() -> None:
     assert digest_of(["a", "b"]) != digest_of(["a"])
     assert digest_of(["a", "b"]) != digest_of(["b", "a"])

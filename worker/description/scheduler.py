@@ -44,18 +44,15 @@ class Role:
         What callers send, as a refusal names it.
     while_away : str
         What becomes of requests while the network is away, as a line of the log says it.
-    steps_aside : bool
-        Whether its thread leaves short cores to the others of the process.
     """
 
     name: str
     requests: str
     while_away: str
-    steps_aside: bool
 
 
-ENCODER = Role("encoder", "queries", "queries are refused and enrolments wait", steps_aside=False)
-SEGMENTER = Role("segmenter", "segmentations", "segmentations are refused or wait", steps_aside=True)
+ENCODER = Role("encoder", "queries", "queries are refused and enrolments wait")
+SEGMENTER = Role("segmenter", "segmentations", "segmentations are refused or wait")
 
 
 @dataclass(frozen=True)
@@ -249,8 +246,6 @@ class Scheduler:
             self._pending_queries -= 1
 
     def _run(self) -> None:
-        if self._role.steps_aside:
-            step_aside()
         while (first := self._next()).urgency != CLOSE:
             batch = [first]
             while len(batch) < self._batch and (following := self._queue.get_alike(first)) is not None:

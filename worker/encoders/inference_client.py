@@ -46,6 +46,9 @@ REST_S, MOST_REST_S = 1, 5
 IDLE_S = 3.0
 """Seconds for which a silent connection is kept: less than servers keep it (revisit: 5 s)."""
 
+SEGMENTED_WITHIN = 2
+"""Times that a segmentation may take as long to be begun as a description: it takes as much work as a dozen of them."""
+
 UNIT_WITHIN = 0.01
 """By how much lengths of the vectors that it answers may differ from 1: it may compute in halves of our precision."""
 
@@ -71,7 +74,8 @@ class FailedImage(Exception):
 class _Call:
     """One call of a model: what it gets, what it is told besides, and the outputs by the names that they get here.
 
-    `shape` is that of each output, without its channels: images, rows and columns.
+    `shape` is that of each output, without its channels: images, rows and columns. The answer may take `within` times
+    the server's usual time to begin.
     """
 
     model: str
@@ -80,6 +84,7 @@ class _Call:
     shape: tuple[int, int, int]
     parameters: Mapping[str, int]
     urgent: bool
+    within: int = 1
 
     def most_bytes(self, channels: Mapping[str, int]) -> int:
         """Of its answer, for layers of so many channels: the server may have outputs that are not used."""
@@ -101,7 +106,8 @@ class InferenceClient:
     key : str or None
         Sent as ``Authorization: Bearer``.
     patience_s : float
-        Seconds in which the server must take a request, begin its answer, and end it, each.
+        Seconds in which the server must take a request, begin its answer, and end it, each. The answer to a
+        segmentation may take `SEGMENTED_WITHIN` times as long to begin.
     clock : function
         Monotonic seconds.
 
@@ -186,7 +192,7 @@ class InferenceClient:
         inputs = {scale_name(number): scale[None] for number, scale in enumerate(image.scales)}
         rows, columns = image.grid
         outputs, told = {SEGMENTED: SEGMENTED}, {ROWS: rows, COLUMNS: columns}
-        call = _Call(model, inputs, outputs, (1, rows, columns), told, urgent)
+        call = _Call(model, inputs, outputs, (1, rows, columns), told, urgent, SEGMENTED_WITHIN)
         layer: Floats = self._answered(call)[SEGMENTED][0]
         return layer
 
@@ -215,11 +221,12 @@ class InferenceClient:
         return found
 
     def _call(self, call: _Call, patience_s: float) -> Mapping[str, Floats]:
+        begun_s = call.within * patience_s
         wanted = {
             "parameters": {
                 "binary_data_output": True,
                 "priority": QUERY_PRIORITY if call.urgent else ENROLMENT_PRIORITY,
-                "timeout": round(patience_s * 1_000_000),
+                "timeout": round(begun_s * 1_000_000),
                 **call.parameters,
             }
         }
@@ -227,17 +234,17 @@ class InferenceClient:
         most = call.most_bytes(self._channels)
         try:
             try:
-                status, headers, content = self._post(call.model, length, body, most, patience_s)
+                status, headers, content = self._post(call.model, length, body, most, patience_s, begun_s)
                 if status == 503 and headers.get("connection") == "close":
                     # It stops; behind the same address there may be another.
-                    status, headers, content = self._post(call.model, length, body, most, patience_s)
+                    status, headers, content = self._post(call.model, length, body, most, patience_s, begun_s)
             except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
                 # It had closed a connection that was kept: encoding twice does no harm.
-                status, headers, content = self._post(call.model, length, body, most, patience_s)
+                status, headers, content = self._post(call.model, length, body, most, patience_s, begun_s)
         except _TooLong:
             raise self._away(f"answers more than {most:,} bytes") from None
         except httpx.TimeoutException:
-            raise self._away(f"does not answer within {patience_s:.1f} s") from None
+            raise self._away(f"does not answer within {begun_s:.1f} s") from None
         except httpx.HTTPError as error:
             raise self._away(f"cannot be reached ({str(error) or type(error).__name__})") from None
         if status != 200:
@@ -254,10 +261,10 @@ class InferenceClient:
         return layers
 
     def _post(
-        self, model: str, length: int, body: bytes, most_bytes: int, patience_s: float
+        self, model: str, length: int, body: bytes, most_bytes: int, patience_s: float, begun_s: float
     ) -> tuple[int, httpx.Headers, bytes]:
-        until = self._clock() + patience_s
-        timeout = httpx.Timeout(patience_s, connect=min(CONNECT_S, patience_s))
+        until = self._clock() + begun_s
+        timeout = httpx.Timeout(patience_s, connect=min(CONNECT_S, patience_s), read=begun_s)
         address = f"{self._place}/v2/models/{model}/infer"
         with self._http.stream(
             "POST", address, content=body, headers={JSON_LENGTH: str(length)}, timeout=timeout
