@@ -58,9 +58,12 @@ def missing_directions(headings: Sequence[float]) -> list[str]:
     """The `QUARTERS` that no heading (degrees) comes within `REACH_DEG` of; none when there is no heading."""
     if not len(headings):
         return []
-    given = np.asarray(headings, np.float64)
-    away = {name: np.abs((given - wanted + 180) % 360 - 180).min() for name, wanted in QUARTERS.items()}
-    return [name for name, least in away.items() if least > REACH_DEG]
+    # Mostly a few headings of each of thousands of spots: numpy would take ten times as long.
+    return [
+        name
+        for name, wanted in QUARTERS.items()
+        if all(abs((heading - wanted + 180) % 360 - 180) > REACH_DEG for heading in headings)
+    ]
 
 
 def gaps(points: Doubles, least: float) -> list[tuple[int, int, float]]:
