@@ -274,7 +274,9 @@ def test_an_image_is_segmented_from_its_scales(encoder: GatedEncoder) -> None:
         assert client.get(f"/v2/models/{client.app.state.shared.service.model}").json()["inputs"][0]["name"] == PIXELS  # type: ignore[attr-defined]
 
 
-def test_nothing_waits_for_a_drawing_and_few_drawings_wait(encoder: GatedEncoder) -> None:
+def test_nothing_waits_for_a_drawing_and_few_drawings_wait(
+    encoder: GatedEncoder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     segmenter = GatedSegmenter()
     segmenter.open.clear()
     with serving(encoder, segmenter=segmenter) as client, ThreadPoolExecutor(MOST_SEGMENTED) as nodes:
@@ -285,6 +287,11 @@ def test_nothing_waits_for_a_drawing_and_few_drawings_wait(encoder: GatedEncoder
         assert refused.status_code == 503
         assert "8 segmentations are waiting" in refused.json()["error"]
         assert int(refused.headers["retry-after"]) >= 1
+        assert client.get("/livez").status_code == 200
+        with monkeypatch.context() as soon:
+            soon.setattr("worker.description.scheduler.HANGS_S", 0.0)
+            hanging = client.get("/livez")
+            assert (hanging.status_code, hanging.text[:40]) == (503, "the segmenter has been at one image for ")
         segmenter.open.set()
         assert {one.result().status_code for one in waiting} == {200}
         until(lambda: client.app.state.shared.service.waiting == 0)  # type: ignore[attr-defined]

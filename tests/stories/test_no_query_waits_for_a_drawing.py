@@ -99,7 +99,7 @@ class HeldSegmenter:
     ids=["a drawing", "a photo that is blurred", "a comparison"],
 )
 def test_a_query_is_answered_while_something_is_segmented(
-    tmp_path: Path, ask: Callable[[Services, str, str], object]
+    tmp_path: Path, ask: Callable[[Services, str, str], object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     segmenter = HeldSegmenter()
     settings = Settings(data=tmp_path, encoder="color", threads=1)
@@ -120,6 +120,9 @@ def test_a_query_is_answered_while_something_is_segmented(
 
             assert view in [match.view.id for match in answer.results.views]
             assert not slow_one.done()
+            assert runtime.beyond_help is None
+            monkeypatch.setattr("worker.description.scheduler.HANGS_S", 0.0)
+            assert (runtime.beyond_help or "").startswith("the segmenter has been at one image for ")
         finally:
             segmenter.go_on.set()
         assert slow_one.result(PATIENCE_S)

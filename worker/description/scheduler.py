@@ -161,17 +161,22 @@ class Scheduler:
         return self._away
 
     @property
-    def beyond_help(self) -> str | None:
-        """What only another process mends, in words; None while there is nothing of the kind."""
+    def stuck(self) -> str | None:
+        """Why nothing goes on, in words: the thread has ended, or has been at one image for too long; else None."""
         if not self.alive:
             return f"the {self._role.name}'s thread has ended"
-        lasted_s = self._away_last - self._away_since
-        if isinstance(self._away, EncoderFails) and lasted_s >= HOPELESS_S:
-            return f"the {self._role.name} has failed on every image for {lasted_s:.0f} s"
         since = self._serving_since
         if since is not None and (lasted_s := time.monotonic() - since) >= HANGS_S:
             return f"the {self._role.name} has been at one image for {lasted_s:.0f} s"
         return None
+
+    @property
+    def beyond_help(self) -> str | None:
+        """What only another process mends, in words; None while there is nothing of the kind."""
+        lasted_s = self._away_last - self._away_since
+        if self.alive and isinstance(self._away, EncoderFails) and lasted_s >= HOPELESS_S:
+            return f"the {self._role.name} has failed on every image for {lasted_s:.0f} s"
+        return self.stuck
 
     def start(self) -> None:
         """Start the network's thread."""

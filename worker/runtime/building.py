@@ -78,7 +78,8 @@ class Runtime(Parts):
         """What only a restart mends while this process runs, in words; None while there is nothing of the kind."""
         if self.loop is not None and not self.loop.whole:
             return "a thread of the worker has ended"
-        return next((reason for one in self._schedulers if (reason := one.beyond_help)), None)
+        # A segmenter that fails alone fails drawings: queries go on.
+        return self.scheduler.beyond_help or (self.segmenting.stuck if self.segmenting is not None else None)
 
     @property
     def _schedulers(self) -> list[Scheduler]:

@@ -89,7 +89,7 @@ class EncodingService:
     @property
     def beyond_help(self) -> str | None:
         """What only another process mends, in words; None while there is nothing of the kind."""
-        return self._scheduler.beyond_help
+        return self._scheduler.beyond_help or (self._segmenting.stuck if self._segmenting is not None else None)
 
     def start(self) -> None:
         """Start the encoder's threads."""
