@@ -114,7 +114,11 @@ class Settings(BaseSettings):
     decode_s: float = Field(20, ge=1, description="Seconds for decoding one image, and for it to wait for a decoder.")
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
     queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
-    explanations: int = Field(200, ge=0, description="Latest explained queries that are kept for drawing.")
+    explanations: int = Field(
+        200,
+        ge=0,
+        description="Latest explained queries that are kept for drawing; 0: none, and answers link no drawing.",
+    )
     limit_requests: int = Field(0, ge=0, description="Requests a minute of each key, or address without keys; 0: any.")
     limit_images: int = Field(0, ge=0, description="Images a minute of each key, or address without keys; 0: any.")
     limit_mb: float = Field(0, ge=0, description="10^6 bytes a minute of each key, or address without keys; 0: any.")

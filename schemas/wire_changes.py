@@ -33,8 +33,8 @@ class Changes(Answer):
 
     status: Literal["compared", "not-aligned", "image-not-kept", "no-match", "busy"] = Field(
         description="Whether the photos could be compared. not-aligned: too few keypoints say where a thing should be; "
-        "image-not-kept: there is no photo of the place as it was; no-match: the query matched no view; busy: of a "
-        "query, which is answered all the same: get `/queries/{id}/changes` in a while."
+        "image-not-kept: there is no photo of the place as it was, or none of the query any more; no-match: the query "
+        "matched no view; busy: of a query, which is answered all the same: get `/queries/{id}/changes` in a while."
     )
     detail: str | None = Field(description="Why they could not be compared, and what to do; null where they were.")
     since: str | None = Field(description="Id of the earlier view.")

@@ -1,9 +1,10 @@
 """Turns what changed at a place into the models of `schemas.wire`."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 from schemas import wire
-from schemas.errors import Busy
+from schemas.errors import Busy, NotFound
 from worker.method.changes import Change
 from worker.method.lost_regions import Spot
 from worker.service.changes import Comparison
@@ -26,8 +27,16 @@ def changes(comparison: Comparison, drawing: str) -> wire.Changes:
 
 def put_off(refused: Busy, query_id: str) -> wire.Changes:
     """The report for a query that was answered while a full queue refused to compare its photos: when to ask again."""
-    later = f"{refused.detail}; get /queries/{query_id}/changes in {refused.retry_after_s} s"
-    return wire.Changes(status="busy", detail=later, since=None, compared=0.0, similarity=None, changes=[], links={})
+    return _nothing("busy", f"{refused.detail}; get /queries/{query_id}/changes in {refused.retry_after_s} s")
+
+
+def no_longer_kept(gone: NotFound) -> wire.Changes:
+    """The report for a query that was answered while its photo was forgotten, or the view that it matched deleted."""
+    return _nothing("image-not-kept", gone.detail)
+
+
+def _nothing(status: Literal["busy", "image-not-kept"], why: str) -> wire.Changes:
+    return wire.Changes(status=status, detail=why, since=None, compared=0.0, similarity=None, changes=[], links={})
 
 
 def _change(change: Change, labels: Sequence[str]) -> wire.Change:

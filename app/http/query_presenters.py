@@ -86,7 +86,7 @@ def _matches(result: QueryResult) -> list[wire.Match]:
     ]
     views = sorted(views, key=lambda view: -view[0])[: result.top]
     return [
-        _match(rank, scored, confidence, found, result.id if result.explained and found is result.leading else None)
+        _match(rank, scored, confidence, found, result)
         for rank, (confidence, scored, found) in enumerate(views, start=1)
     ]
 
@@ -111,12 +111,15 @@ def _match(
     scored: ScoredView,
     confidence: float,
     found: SearchOutcome,
-    explained: str | None,
+    result: QueryResult,
 ) -> wire.Match:
-    """A view of what a search found; `explained` is the query's id when an explanation is kept, else None."""
+    """A view of what a search found: that of the leading maps, or of others."""
+    explains = result.explained and found is result.leading
     recipe, query_graph = found.results.recipe.description, found.description.appearance.graph
     base = f"/views/{scored.view.id}"
-    explanation = None if explained is None else f"/queries/{explained}/explanation.png?view={scored.view.id}"
+    explanation = (
+        f"/queries/{result.id}/explanation.png?view={scored.view.id}" if explains and result.drawable else None
+    )
     return wire.Match(
         rank=rank,
         view=view(scored.view, recipe.labels),
@@ -128,8 +131,8 @@ def _match(
             for name, distance in scored.distances.items()
         },
         dense=None if scored.dense is None else wire.DenseMatch.model_validate(scored.dense, from_attributes=True),
-        graph=None if scored.graph is None else _graph(scored.graph, recipe, query_graph, explained is not None),
-        verification=None if scored.verified is None else _verification(scored.verified, explained is not None),
+        graph=None if scored.graph is None else _graph(scored.graph, recipe, query_graph, explains),
+        verification=None if scored.verified is None else _verification(scored.verified, explains),
         links=wire.MatchLinks(image=f"{base}/image", thumbnail=f"{base}/thumbnail", explanation=explanation),
     )
 

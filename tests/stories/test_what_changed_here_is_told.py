@@ -139,6 +139,20 @@ def test_the_drawing_of_a_query_is_kept_and_another_has_a_version(client: Revisi
     assert (drawn.status_code, again.status_code) == (200, 304)
 
 
+def test_a_service_that_keeps_no_queries_answers_them_all_the_same(tmp_path: Path) -> None:
+    with TestClient(create_app(build(settings(tmp_path, explanations=0)))) as service:
+        for piece in (CUPBOARD, CHAIR):
+            service.post("/enroll?place=hall", content=taken(HALL, piece), headers=JPEG).raise_for_status()
+        answer = service.post("/query?explain=true&changes=true", content=taken(HALL), headers=JPEG).json()
+
+    first = answer["matches"][0]
+    assert first["links"]["explanation"] is None
+    assert first["verification"]["pairs"]
+    changes = answer["changes"]
+    assert (changes["status"], changes["changes"], changes["links"]) == ("image-not-kept", [], {})
+    assert "the latest 0 are kept until a restart (REVISIT_EXPLANATIONS)" in changes["detail"]
+
+
 def test_a_view_with_another_name_is_drawn_with_it(client: Revisit, url: str) -> None:
     then, now = (client.enroll(taken(HALL, piece), map="named", place="hall").view.id for piece in (CUPBOARD, CHAIR))
     query = client.query(taken(HALL, CUPBOARD), map="named", changes=True).query.id

@@ -131,7 +131,7 @@ class Scheduler:
         self._away_since = self._away_last = 0.0
         self._serving_since: float | None = None
         self._waits = True
-        self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"revisit-{role.name}", daemon=True)
         self._describing = Threads(1, "revisit-describing", step_aside)
         self._parallel_queries = Threads(1, "revisit-parallel-queries")
 

@@ -103,7 +103,7 @@ class Explanations:
     """
 
     def __init__(self, most: int) -> None:
-        self._most = most
+        self.most = most
         self._kept: Latest[str, Explained] = Latest(most)
 
     def keep(self, query_id: str, explained: Explained) -> None:
@@ -118,7 +118,7 @@ class Explanations:
             raise NotFound(
                 "explained query",
                 query_id,
-                f"query with explain=true; the latest {self._most} are kept until a restart",
+                f"query with explain=true; the latest {self.most} are kept until a restart (REVISIT_EXPLANATIONS)",
             ) from None
 
 

@@ -66,7 +66,8 @@ class QueryResult:
     differs : tuple of Region
         Where the first match and its rival differ, if the query is explained.
     explained : bool
-        Whether explanations of the leading maps' views can be drawn.
+    drawable : bool
+        Whether explanations of the leading maps' views can be drawn: it is explained, and such queries are kept.
     driven : Driven or None
         What the images of its drive say together.
     timing_ms : mapping of stage to milliseconds
@@ -81,6 +82,7 @@ class QueryResult:
     top: int
     differs: tuple[Region, ...]
     explained: bool
+    drawable: bool
     driven: Driven | None
     timing_ms: Mapping[str, float]
 
@@ -239,6 +241,7 @@ class QueryService:
             top=options.top,
             differs=(),
             explained=options.explain,
+            drawable=options.explain and self._explanations.most > 0,
             driven=driven,
             timing_ms={},
         )

@@ -7,7 +7,7 @@ from fastapi.responses import Response
 
 from app.http.body import IMAGE_PART, take
 from app.http.callers import caller_of
-from app.http.changes_report import put_off
+from app.http.changes_report import no_longer_kept, put_off
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import QUERY_ANSWER
 from app.http.geopose import OGC, basic_ypr, wants_geopose
@@ -18,7 +18,7 @@ from app.http.query_parameters import QueryParameters
 from app.http.rate_limits import charge_images
 from app.http.validation import read
 from schemas import wire
-from schemas.errors import Busy, ParameterError
+from schemas.errors import Busy, NotFound, ParameterError
 from schemas.wire import QueryAnswer
 from worker.service.query_options import QueryOptions
 
@@ -82,8 +82,10 @@ async def query(
 
 
 async def _changes(curator: Curates, query_id: str) -> wire.Changes:
-    """What changed since the first match; the query's answer does not wait until that can be compared."""
+    """What changed since the first match; the query is answered even where that cannot be compared."""
     try:
         return await curator.changes_of_query(query_id)
     except Busy as refused:
         return put_off(refused, query_id)
+    except NotFound as gone:
+        return no_longer_kept(gone)
