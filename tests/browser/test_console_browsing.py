@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 
 from app.http.examples import MAP_HEALTH, VIEW
-from tests.browser.conftest import PHONE, Open, Tab
+from tests.browser.conftest import PATIENCE_MS, PHONE, Open, Tab
 from tests.browser.test_console import ask
 from tests.sample_images import photo as drawn_photo
 
@@ -164,7 +164,8 @@ def test_the_plan_of_a_very_large_map_is_read_on_when_somebody_wants_all(opened:
     tab = opened("service")
     town = MadeUp(tab, north=10_000, south=11_200)
     tab.show("maps/town")
-    tab.page.get_by_text("It shows the first 20,000 of 21,200 views.").wait_for()
+    # Forty pages are fetched, each of them made up by this process.
+    tab.page.get_by_text("It shows the first 20,000 of 21,200 views.").wait_for(timeout=4 * PATIENCE_MS)
     tab.page.get_by_label("Plan with 20,000 positions").wait_for()
     tab.page.get_by_role("button", name="Show all").click()
     tab.page.get_by_label("Plan with 21,200 positions").wait_for()

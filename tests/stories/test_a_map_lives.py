@@ -303,6 +303,7 @@ def flipped(file: bytes, at: int) -> bytes:
         pytest.param(True, id="killed between any two steps", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.timeout(1800)  # it starts the service dozens of times, and a slow machine needs ten minutes
 def test_a_map_lives_and_is_carried_to_the_other_database(tmp_path: Path, killed: bool) -> None:
     life = Life(tmp_path / "home")
     try:

@@ -20,6 +20,9 @@ from tests.stories.running import ROOT, RunningService
 
 pytestmark = pytest.mark.one_database("they say what to type on one machine")
 
+PAGE_S = 480.0
+"""Seconds for all commands of a page: half a minute on a quick machine that has nothing else to do."""
+
 TUTORIALS = ROOT / "docs" / "tutorials"
 NAMES = ("mill lane", "the green", "school hill", "chapel row")
 
@@ -125,7 +128,7 @@ def shell(page: str, folder: Path, **environment: str) -> str:
         capture_output=True,
         text=True,
         check=False,
-        timeout=180,
+        timeout=PAGE_S,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
