@@ -4,7 +4,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pytest
@@ -31,6 +32,17 @@ from worker.encoders.compact.encoder import CompactEncoder, weights_named
 from worker.encoders.compact.ensemble import digest_of
 from worker.encoders.compact.shared import SharedCompactEncoder, SharedSegmenter
 from worker.encoders.inference_client import FailedImage, InferenceClient
+
+C = TypeVar("C", SharedCompactEncoder, InferenceClient)
+
+
+class Opened(Protocol):
+    """Has one closed at the end of a test."""
+
+    def __call__(self, one: C) -> C:
+        """The same."""
+        ...
+
 
 SIZES = ((640, 480), (640, 480), (300, 400), (97, 97), (64, 48))
 
@@ -67,13 +79,24 @@ def client(server: InferenceServer) -> Iterator[InferenceClient]:
     one.close()
 
 
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    """Has one closed at the end of a test, of one that fails too: what stays open fails a later test."""
+    with ExitStack() as stack:
+
+        def opened(one: C) -> C:
+            return stack.enter_context(closing(one))
+
+        yield opened
+
+
 PIXELS = np.zeros((2, 96, 128, 3), np.uint8)
 CHANNELS = {"semantic": 97, "detail": 64}
 
 
-def test_every_layer_is_the_same_to_the_byte(server: InferenceServer, local: CompactEncoder) -> None:
+def test_every_layer_is_the_same_to_the_byte(server: InferenceServer, local: CompactEncoder, opened: Opened) -> None:
     images = [Image.of(drawn(*size, seed)) for seed, size in enumerate(SIZES)]
-    shared = SharedCompactEncoder(server.url, None, PATIENCE_S)
+    shared = opened(SharedCompactEncoder(server.url, None, PATIENCE_S))
 
     found = list(shared.encode(images, urgent=True))
 
@@ -88,15 +111,18 @@ def test_every_layer_is_the_same_to_the_byte(server: InferenceServer, local: Com
     # Two calls are under way at a time, and may arrive the other way round.
     assert sorted(shapes) == sorted([(2, 352, 480, 3), (1, 480, 352, 3), (1, 352, 352, 3), (1, 256, 352, 3)])
     assert server.received[-1][0] == f"/v2/models/compact-{local.digest[:12]}/infer"
-    shared.close()
 
 
 @pytest.mark.parametrize("size", [(320, 240), (1000, 300), (60, 97)])
 def test_what_is_drawn_is_the_same_to_the_byte_and_no_network_is_loaded(
-    segmenting: InferenceServer, local: CompactEncoder, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+    segmenting: InferenceServer,
+    local: CompactEncoder,
+    size: tuple[int, int],
+    monkeypatch: pytest.MonkeyPatch,
+    opened: Opened,
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # a node needs nothing that runs networks
-    shared = SharedCompactEncoder(segmenting.url, None, PATIENCE_S)
+    shared = opened(SharedCompactEncoder(segmenting.url, None, PATIENCE_S))
     image = Image.of(drawn(*size))
     mine, other = shared.segmenter(), local.segmenter()
 
@@ -105,13 +131,12 @@ def test_what_is_drawn_is_the_same_to_the_byte_and_no_network_is_loaded(
     here, there = other.segment(image), mine.segment(image)
     assert (there.semantic.tobytes(), there.extent) == (here.semantic.tobytes(), here.extent)
     assert segmenting.received[-1][0] == f"/v2/models/compact-segmenter-{local.segmenter_digest[:12]}/infer"
-    shared.close()
 
 
 def test_where_it_has_no_segmenter_the_drawings_are_made_here(
-    server: InferenceServer, local: CompactEncoder, caplog: pytest.LogCaptureFixture
+    server: InferenceServer, local: CompactEncoder, caplog: pytest.LogCaptureFixture, opened: Opened
 ) -> None:
-    shared = SharedCompactEncoder(server.url, None, PATIENCE_S)
+    shared = opened(SharedCompactEncoder(server.url, None, PATIENCE_S))
     server.answer = says(503)
     image = Image.of(drawn(320, 240))
     mine, other = shared.segmenter(), local.segmenter()
@@ -121,13 +146,12 @@ def test_where_it_has_no_segmenter_the_drawings_are_made_here(
     assert other is not None
     assert not isinstance(mine, SharedSegmenter)
     assert np.array_equal(mine.segment(image).semantic, other.segment(image).semantic)
-    shared.close()
 
 
 def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_not(
-    segmenting: InferenceServer, monkeypatch: pytest.MonkeyPatch
+    segmenting: InferenceServer, monkeypatch: pytest.MonkeyPatch, opened: Opened
 ) -> None:
-    shared = SharedCompactEncoder(segmenting.url, None, PATIENCE_S)
+    shared = opened(SharedCompactEncoder(segmenting.url, None, PATIENCE_S))
     now = time.monotonic()
     monkeypatch.setattr(shared._client, "_clock", lambda: now)
     image, segmenter = Image.of(drawn(64, 48)), shared.segmenter()
@@ -143,11 +167,10 @@ def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_no
             segmenter.segment(image)
         assert next(shared.encode([image])).shape == (32, 44)
         assert sum("-segmenter-" in path for path, _, _, _ in segmenting.received) == calls
-    shared.close()
 
 
-def test_a_segmentation_may_take_twice_as_long_to_begin(segmenting: InferenceServer) -> None:
-    shared = SharedCompactEncoder(segmenting.url, None, PATIENCE_S)
+def test_a_segmentation_may_take_twice_as_long_to_begin(segmenting: InferenceServer, opened: Opened) -> None:
+    shared = opened(SharedCompactEncoder(segmenting.url, None, PATIENCE_S))
     image, segmenter = Image.of(drawn(64, 48)), shared.segmenter()
     assert segmenter is not None
     shared._client._patience_s = SHORT_S
@@ -159,7 +182,6 @@ def test_a_segmentation_may_take_twice_as_long_to_begin(segmenting: InferenceSer
     parameters = segmenting.received[-1][1]["parameters"]
     assert isinstance(parameters, dict)
     assert parameters["timeout"] == 2 * SHORT_S * 1_000_000
-    shared.close()
 
 
 def test_all_that_decides_a_drawing_is_in_its_name() -> None:
@@ -167,23 +189,21 @@ def test_all_that_decides_a_drawing_is_in_its_name() -> None:
     assert digest_of(["a", "b"]) != digest_of(["b", "a"])
 
 
-def test_labels_stay_in_the_process(server: InferenceServer, local: CompactEncoder) -> None:
-    shared = SharedCompactEncoder(server.url, None, PATIENCE_S)
+def test_labels_stay_in_the_process(server: InferenceServer, local: CompactEncoder, opened: Opened) -> None:
+    shared = opened(SharedCompactEncoder(server.url, None, PATIENCE_S))
     server.answer = says(503)
     assert np.array_equal(shared.text_vectors(["road"]), local.text_vectors(["road"]))
     assert shared.meanings(["road"]) == local.meanings(["road"])
-    shared.close()
 
 
-def test_a_query_says_that_it_goes_first_and_how_long_it_waits(server: InferenceServer) -> None:
-    client = InferenceClient(server.url, "compact-1", CHANNELS, "a key of the fleet", 20.0)
+def test_a_query_says_that_it_goes_first_and_how_long_it_waits(server: InferenceServer, opened: Opened) -> None:
+    client = opened(InferenceClient(server.url, "compact-1", CHANNELS, "a key of the fleet", 20.0))
     for urgent in (True, False):
         client.fields(PIXELS, urgent=urgent)
 
     received = [said["parameters"] for _, said, _, _ in server.received]
     assert received == [{"binary_data_output": True, "priority": p, "timeout": 20_000_000} for p in (1, 2)]
     assert {key for _, _, key, _ in server.received} == {"Bearer a key of the fleet"}
-    client.close()
 
 
 @pytest.mark.parametrize(
@@ -218,9 +238,11 @@ def test_whatever_is_wrong_with_it_is_said_by_name_and_soon(server: InferenceSer
     assert f"the encoder at {server.url} " in away.value.detail
 
 
-def test_after_a_failure_calls_fail_at_once_until_a_small_image_is_encoded(server: InferenceServer) -> None:
+def test_after_a_failure_calls_fail_at_once_until_a_small_image_is_encoded(
+    server: InferenceServer, opened: Opened
+) -> None:
     now = [0.0]
-    client = InferenceClient(server.url, "compact-1", CHANNELS, None, PATIENCE_S, clock=lambda: now[0])
+    client = opened(InferenceClient(server.url, "compact-1", CHANNELS, None, PATIENCE_S, clock=lambda: now[0]))
     server.answer = says(503, Retry_After="4")
     with pytest.raises(EncoderAway) as away:
         client.fields(PIXELS, urgent=True)
@@ -240,7 +262,6 @@ def test_after_a_failure_calls_fail_at_once_until_a_small_image_is_encoded(serve
     assert client.fields(PIXELS, urgent=True)["semantic"].shape[:3] == (2, 12, 16)
     assert client.fields(PIXELS, urgent=True)["semantic"].shape[:3] == (2, 12, 16)
     assert [shape for _, _, _, shape in server.received[2:]] == [(1, 96, 96, 3), PIXELS.shape, PIXELS.shape]
-    client.close()
 
 
 def test_one_that_stops_is_followed_by_another_at_the_same_address(
@@ -292,9 +313,9 @@ def test_other_weights_and_another_key_are_refused_at_the_start(server: Inferenc
         SharedCompactEncoder(server.url, None, PATIENCE_S)
 
 
-def test_one_that_is_away_at_the_start_is_waited_for(server: InferenceServer) -> None:
+def test_one_that_is_away_at_the_start_is_waited_for(server: InferenceServer, opened: Opened) -> None:
     server.answer = says(503)
-    shared = SharedCompactEncoder(server.url, None, PATIENCE_S)
+    shared = opened(SharedCompactEncoder(server.url, None, PATIENCE_S))
     image = Image.of(drawn(64, 48))
     with pytest.raises(EncoderAway):
         next(shared.encode([image]))
@@ -302,20 +323,19 @@ def test_one_that_is_away_at_the_start_is_waited_for(server: InferenceServer) ->
     server.answer = server.right
     time.sleep(1.1)
     assert next(shared.encode([image])).shape == (32, 44)
-    shared.close()
 
 
-def test_weights_by_another_name_are_shared_too(server: InferenceServer) -> None:
+def test_weights_by_another_name_are_shared_too(server: InferenceServer, opened: Opened) -> None:
     server.encoder = CompactEncoder(weights=weights_named("compact-open"), prepared=True)
     shared, segmenter = make_encoder(Settings(encoder="compact-open", encoder_url=server.url), 1)
     assert isinstance(shared, SharedCompactEncoder)
+    opened(shared)
     assert segmenter is None
     image = Image.of(drawn(640, 480))
     here = CompactEncoder(weights=weights_named("compact-open"))
     [field], [own] = shared.encode([image]), here.encode([image])
     assert all((field.layers[name] == own.layers[name]).all() for name in own.layers)
     assert f"/compact-open-{here.digest[:12]}/" in server.received[-1][0]
-    shared.close()
 
 
 def test_only_the_built_in_encoders_are_shared() -> None:
