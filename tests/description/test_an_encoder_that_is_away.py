@@ -119,7 +119,7 @@ class AwaySegmenter:
     ("error", "said"),
     [
         (EncoderAway("its segmenter does not answer", 0), "its segmenter does not answer"),
-        (RuntimeError("CUDA error: unspecified launch failure"), "fails on every image"),
+        (RuntimeError("CUDA error: unspecified launch failure"), "the segmenter fails on every image"),
     ],
 )
 def test_while_a_segmenter_is_away_drawings_are_told_and_what_is_to_be_blurred_may_wait(

@@ -31,7 +31,7 @@ from worker.encoders.choosing import batch_of, make_encoder, patience_of
 from worker.encoders.compact.encoder import CompactEncoder, weights_named
 from worker.encoders.compact.ensemble import digest_of
 from worker.encoders.compact.shared import SharedCompactEncoder, SharedSegmenter
-from worker.encoders.inference_client import FailedImage, InferenceClient
+from worker.encoders.inference_client import SEGMENTED_WITHIN, FailedImage, InferenceClient
 
 C = TypeVar("C", SharedCompactEncoder, InferenceClient)
 
@@ -345,6 +345,8 @@ def test_only_the_built_in_encoders_are_shared() -> None:
 
 def test_all_parts_of_a_call_together_take_less_than_callers_wait() -> None:
     for wait in (4.0, 30.0, 120.0):
-        assert 3 * patience_of(Settings(wait=wait)) < wait
+        patience_s = patience_of(Settings(wait=wait))
+        assert 3 * patience_s < wait
+        assert (2 + SEGMENTED_WITHIN) * patience_s <= wait
     assert batch_of(Settings()) == 1
     assert batch_of(Settings(encoder_url="http://encoder:8100")) > 1

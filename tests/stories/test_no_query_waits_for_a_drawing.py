@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -104,29 +105,29 @@ def test_a_query_is_answered_while_something_is_segmented(
     segmenter = HeldSegmenter()
     settings = Settings(data=tmp_path, encoder="color", threads=1)
     runtime = build(settings, make_encoder=lambda *_: (ColorEncoder(), segmenter))
-    runtime.start()
     services = runtime.services
-    services.maps.put("shop", Wanted())
-    services.maps.change("shop", blur=["car"])
-    earlier, view = (
-        services.enroll.enroll(photo, "town", ViewAttributes(place="hall"), patience_s=PATIENCE_S).view.id
-        for photo in HALL
-    )
-    with ThreadPoolExecutor(2) as threads:
-        try:
-            slow_one = threads.submit(ask, services, view, earlier)
-            assert segmenter.begun.wait(PATIENCE_S)
-            answer = threads.submit(services.query.query, HALL[1], "town").result(PATIENCE_S)
+    with ExitStack() as stack:
+        runtime.start()
+        stack.callback(runtime.stop)
+        services.maps.put("shop", Wanted())
+        services.maps.change("shop", blur=["car"])
+        earlier, view = (
+            services.enroll.enroll(photo, "town", ViewAttributes(place="hall"), patience_s=PATIENCE_S).view.id
+            for photo in HALL
+        )
+        threads = stack.enter_context(ThreadPoolExecutor(2))
+        stack.callback(segmenter.go_on.set)
+        slow_one = threads.submit(ask, services, view, earlier)
+        assert segmenter.begun.wait(PATIENCE_S)
+        answer = threads.submit(services.query.query, HALL[1], "town").result(PATIENCE_S)
 
-            assert view in [match.view.id for match in answer.results.views]
-            assert not slow_one.done()
-            assert runtime.beyond_help is None
-            monkeypatch.setattr("worker.description.scheduler.HANGS_S", 0.0)
-            assert (runtime.beyond_help or "").startswith("the segmenter has been at one image for ")
-        finally:
-            segmenter.go_on.set()
+        assert view in [match.view.id for match in answer.results.views]
+        assert not slow_one.done()
+        assert runtime.beyond_help is None
+        monkeypatch.setattr("worker.description.scheduler.HANGS_S", 0.0)
+        assert (runtime.beyond_help or "").startswith("the segmenter has been at one image for ")
+        segmenter.go_on.set()
         assert slow_one.result(PATIENCE_S)
-    runtime.stop()
 
 
 def test_what_goes_wrong_while_drawing_reaches_the_caller_and_nobody_else(

@@ -16,12 +16,12 @@ REST_S = 5
 """Seconds between attempts while the encoder fails."""
 
 
-def encoded(encoder: Encodes, images: Sequence[Image], *, urgent: bool) -> Iterator[PixelField]:
+def encoded(encoder: Encodes, images: Sequence[Image], *, urgent: bool, name: str = "encoder") -> Iterator[PixelField]:
     """The fields of images, as `Encodes.encode` makes them.
 
     Where that fails, the encoder is tried on a plain image. If it fails there too, as on a GPU that is lost or without
     memory, these images would fail for nothing of their own. If it does not, they are tried once more: it may have got
-    well between the two.
+    well between the two. `name` is what a refusal calls it.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def encoded(encoder: Encodes, images: Sequence[Image], *, urgent: bool) -> Itera
             raise
         except Exception:
             raise EncoderFails(
-                f"the encoder fails on every image ({type(error).__name__}); the service's log has the reason; "
+                f"the {name} fails on every image ({type(error).__name__}); the service's log has the reason; "
                 f"try again in {REST_S} s",
                 REST_S,
             ) from error

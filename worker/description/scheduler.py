@@ -319,7 +319,8 @@ class Scheduler:
                 if request.parallel is not None and request.made is None:
                     thread = self._parallel_queries if request.urgency == QUERY else self._describing
                     request.made = thread.submit(request.context.copy().run, request.parallel, request.image)
-            fields = encoded(self._encoder, [r.image for r in batch], urgent=batch[0].urgency == QUERY)
+            urgent = batch[0].urgency == QUERY
+            fields = encoded(self._encoder, [r.image for r in batch], urgent=urgent, name=self._role.name)
             for request in batch:
                 encoding = time.perf_counter()
                 pixel_field = next(fields)

@@ -25,7 +25,8 @@ def batch_of(settings: Settings) -> int:
 
 
 def patience_of(settings: Settings) -> float:
-    """Seconds for each part of a call of a shared encoder: together less than `wait`, which callers are promised."""
+    """Seconds for each part of a call of a shared encoder: together less than `wait`, which callers are promised; for a
+    segmentation, which may take `SEGMENTED_WITHIN` of them to begin, no more than that."""
     return min(10.0, max(1.0, settings.wait / 4))
 
 

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import httpx
 import numpy as np
@@ -232,15 +233,16 @@ class InferenceClient:
         }
         length, body = packed("inputs", call.inputs, wanted)
         most = call.most_bytes(self._channels)
+        post = partial(self._post, call.model, length, body, most, patience_s, begun_s)
         try:
             try:
-                status, headers, content = self._post(call.model, length, body, most, patience_s, begun_s)
+                status, headers, content = post()
                 if status == 503 and headers.get("connection") == "close":
                     # It stops; behind the same address there may be another.
-                    status, headers, content = self._post(call.model, length, body, most, patience_s, begun_s)
+                    status, headers, content = post()
             except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
                 # It had closed a connection that was kept: encoding twice does no harm.
-                status, headers, content = self._post(call.model, length, body, most, patience_s, begun_s)
+                status, headers, content = post()
         except _TooLong:
             raise self._away(f"answers more than {most:,} bytes") from None
         except httpx.TimeoutException:

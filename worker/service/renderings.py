@@ -50,6 +50,11 @@ class RenderingService:
         Bytes and longer side in pixels to the bytes of a JPEG.
     explanations : Explanations
         The latest explained queries.
+
+    Attributes
+    ----------
+    segmented_by : {"encoder", "segmenter"}
+        The network whose labels a segmentation shows. A context graph is always that of the encoder.
     """
 
     def __init__(
@@ -66,7 +71,8 @@ class RenderingService:
         explanations: Explanations,
     ) -> None:
         self._maps, self._views, self._descriptions = maps, views, descriptions
-        self._describers, self._scheduler, self._segmenting = describers, scheduler, segmenting
+        self._describers, self._scheduler, self._segmenting = describers, scheduler, segmenting or scheduler
+        self.segmented_by: Network = "encoder" if segmenting is None else "segmenter"
         self._decode, self._thumbnail, self._explanations = decode, thumbnail, explanations
         self._drawing = threading.Lock()
 
@@ -105,7 +111,7 @@ class RenderingService:
         owner, image = self._source(view_id)
         if overlay:
             return self.draw_overlay(image, owner, legend=legend)
-        labels = self._found(image, owner, Describer.segment, self._segmenting or self._scheduler).labels
+        labels = self._found(image, owner, Describer.segment, self._segmenting).labels
         with self._drawing:
             return drawing.segmentation_png(labels, (image.width, image.height), owner.description.labels)
 
@@ -117,7 +123,7 @@ class RenderingService:
     def draw_overlay(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its labels by a map's recipe blended over it, dynamic cells grey, as PNG; raises Busy."""
         caption = SEGMENTED if self.segmented_by == "segmenter" else ""
-        found = self._found(image, owner, Describer.segment, self._segmenting or self._scheduler)
+        found = self._found(image, owner, Describer.segment, self._segmenting)
         labels = owner.description.labels
         with self._drawing:
             return drawing.overlay_png(image.pixels, found.labels, labels, found.static, legend=legend, caption=caption)
@@ -136,11 +142,6 @@ class RenderingService:
                 legend=legend,
                 caption=caption,
             )
-
-    @property
-    def segmented_by(self) -> Network:
-        """The network whose labels a segmentation shows. A context graph is always that of the encoder."""
-        return "encoder" if self._segmenting is None else "segmenter"
 
     def maps_of_query(self, query_id: str) -> tuple[str, ...]:
         """The maps that an explained query was asked of: what is drawn may be of any; raises NotFound."""
