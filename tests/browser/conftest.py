@@ -92,6 +92,12 @@ class Tab:
 
         expect(self.page.locator(selector)).to_have_count(count, timeout=PATIENCE_MS)
 
+    def awaits_enabled(self, button: str) -> None:
+        """Wait until a button can be pressed: it cannot while what it began is not over."""
+        from playwright.sync_api import expect
+
+        expect(self.page.get_by_role("button", name=button)).to_be_enabled(timeout=PATIENCE_MS)
+
     def confirm(self, name: str) -> None:
         """Press the button that removes something, once no image is on its way: of what is gone there is none."""
         button = self.page.get_by_role("button", name=name, exact=True)

@@ -192,7 +192,7 @@ def test_of_several_photos_one_is_bad_and_the_others_are_enrolled_with_their_pos
     assert "the image is dark" in tab.page.locator(".files .done").all_inner_texts()[2]
     found = {(one["place"], one["position"]["x"], one["position"]["y"]) for one in views(service, "yard")}
     assert found == {("gate, north", 1.5, -2.0), ("yard", 3.0, 4.0), ("yard", 7.0, 8.0)}
-    assert tab.page.get_by_role("button", name="Try again: enrol 1 photo").is_enabled()
+    tab.awaits_enabled("Try again: enrol 1 photo")
 
 
 def test_ten_photos_of_a_newcomer_give_a_sure_answer(

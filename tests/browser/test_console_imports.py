@@ -59,7 +59,7 @@ def test_a_proxy_that_answers_in_place_of_the_service_is_told_from_it(opened: Op
     panel.get_by_role("button", name="Import the recording").press("Enter")
 
     assert "a proxy between" in panel.get_by_role("alert").inner_text()
-    assert panel.get_by_role("button", name="Import the recording").is_enabled()
+    tab.awaits_enabled("Import the recording")
 
 
 def test_an_import_goes_on_where_the_key_ends_that_began_it(opened: Open, tmp_path: Path) -> None:

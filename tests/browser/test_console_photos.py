@@ -247,7 +247,7 @@ def test_a_busy_service_is_tried_again_by_hand(opened: Open, house: str) -> None
     tab.page.get_by_label("View 2: hall").click()
     tab.page.get_by_role("button", name="What changed?").click()
     tab.page.get_by_text("The service is busy: try again in a few seconds.").wait_for()
-    assert tab.page.get_by_role("button", name="What changed?").is_enabled()
+    tab.awaits_enabled("What changed?")
     tab.page.unroute("**/changes?since=*")
     tab.page.get_by_role("button", name="What changed?").click()
     tab.page.locator("dialog .changes h3").wait_for()
