@@ -18,8 +18,8 @@ from schemas.recipe import DescriptionRecipe
 from schemas.records import Claim, JobKind, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
-from worker.service.comparing import Rest
 from worker.service.decoded import DecodedImages
+from worker.service.giving_way import Rest
 from worker.service.trouble import STORAGE_ERRORS, StoringTrouble
 
 log = logging.getLogger("revisit.worker")

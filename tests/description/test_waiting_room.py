@@ -1,5 +1,6 @@
 """Queries decode their images while there is room for the pixels; the others hold none."""
 
+import math
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -131,3 +132,16 @@ def test_whoever_leaves_while_they_wait_is_passed_over(threads: ThreadPoolExecut
     fourth.leave()
     third.leave()
     assert not second.let_in.is_set()
+
+
+def test_it_is_quiet_since_the_last_image_left(threads: ThreadPoolExecutor) -> None:
+    room = room_for(10, 1)
+    assert room.quiet_s == math.inf
+    first, second = entered(room, threads, 2)
+    assert room.quiet_s == 0
+    first.leave()
+    assert room.quiet_s == 0
+    second.leave()
+    at_first = room.quiet_s
+    assert 0 <= at_first < PATIENCE_S
+    until(lambda: room.quiet_s > at_first)

@@ -27,6 +27,7 @@ from worker.service.duplicates import NearDuplicates
 from worker.service.settlements import Settlements
 from worker.service.shadows import ShadowService
 from worker.service.snapshots import SnapshotService
+from worker.service.waiting_room import WaitingRoom
 from worker.storage.store import SqlStore, open_store
 
 MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
@@ -62,6 +63,8 @@ class Parts:
     shadows : ShadowService
     comparer : MapComparer
         Compares views in the background.
+    query_room, enrolment_room : WaitingRoom
+        Where images wait before they are decoded.
     blurring : Blurring
     enrolment : BlurringEnrolment
         Stores images, blurred where their map says so.
@@ -85,6 +88,8 @@ class Parts:
     snapshots: SnapshotService
     shadows: ShadowService
     comparer: MapComparer
+    query_room: WaitingRoom
+    enrolment_room: WaitingRoom
     blurring: Blurring
     enrolment: BlurringEnrolment
     decoded: DecodedImages
@@ -124,9 +129,12 @@ def make_parts(
     decoder = make_decoder(settings)
     settlements = Settlements(store.views, lambda: scheduler.away is not None)
     bell = Bell(store.notices, settlements.notify)
+    room = partial(WaitingRoom, decoder.decode, decoders=max(1, settings.decoders), pace_s=lambda: scheduler.pace_s)
+    query_room = room("queries", limit=settings.queries, most_bytes=settings.query_pixel_bytes)
     comparer = MapComparer(
-        comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
-    )
+        comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product,
+        quiet_s=lambda: query_room.quiet_s,
+    )  # fmt: skip
     shadows = ShadowService(
         maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
         comparisons=store.comparisons, kept=store.kept_queries, jobs=store.jobs, catalogue=catalogue,
@@ -152,6 +160,8 @@ def make_parts(
         snapshots=SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=bell.ring_all),
         shadows=shadows,
         comparer=comparer,
+        query_room=query_room,
+        enrolment_room=room("enrolments", limit=settings.queue, most_bytes=settings.enrolment_pixel_bytes),
         blurring=blurring,
         enrolment=BlurringEnrolment(store.enrolment, store.maps, blurring.cover, decoded),
         decoded=decoded,

@@ -32,7 +32,6 @@ from worker.service.searching import Searcher
 from worker.service.shadows import ShadowService
 from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
-from worker.service.waiting_room import WaitingRoom
 
 
 @dataclass(frozen=True)
@@ -71,9 +70,6 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     settings, store, decoder = parts.settings, parts.store, parts.decoder
     scheduler, describers, catalogue = parts.scheduler, parts.describers, parts.catalogue
     explanations = Explanations(settings.explanations)
-    waiting_room = partial(
-        WaitingRoom, decoder.decode, decoders=max(1, settings.decoders), pace_s=lambda: scheduler.pace_s
-    )
     searcher = Searcher(
         maps=store.maps,
         views=store.views,
@@ -90,7 +86,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
     enroll = EnrollService(
         maps=store.maps, enrolment=parts.enrolment, views=store.views, removals=store.removals, queue=store.jobs,
         settlements=parts.settlements, read_exif=decoder.read_exif,
-        room=waiting_room("enrolments", limit=settings.queue, most_bytes=settings.enrolment_pixel_bytes),
+        room=parts.enrolment_room,
         look_for_problem=quality.problem_of, default_recipe=default_recipe, limit=settings.queue,
         pace_s=lambda: scheduler.pace_s, wake=parts.bell.ring, workers=attendance,
         describer=searcher.describer,
@@ -130,7 +126,7 @@ def make_services(parts: Parts, attendance: Attendance, default_recipe: MapRecip
             searcher=searcher,
             views=store.views,
             descriptions=store.descriptions,
-            room=waiting_room("queries", limit=settings.queries, most_bytes=settings.query_pixel_bytes),
+            room=parts.query_room,
             shrink=codec.shrink,
             look_for_problem=quality.problem_of,
             is_blank=quality.is_blank,

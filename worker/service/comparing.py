@@ -1,8 +1,10 @@
 """Compare the views of a map with one another, in the background, to learn what wrong answers get there."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
 from typing import Protocol
@@ -23,6 +25,7 @@ from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_VIEWS, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue, ComparisonReader, DescriptionReader, SearchableIndex
+from worker.service.giving_way import GivingWay, Rest
 from worker.service.trouble import STORAGE_ERRORS
 
 log = logging.getLogger("revisit.worker")
@@ -43,8 +46,8 @@ of candidates, from then on for twice as many each time."""
 MOST_OWN = 4000
 """Views of its own place, found so, beyond which a view is not compared: reading them takes long."""
 
-Rest = Callable[[float], bool]
-"""Sleeps for a number of seconds; returns whether it was woken, since a job of a map waits."""
+GIVE_WAY_S = 2.0
+"""Seconds that the comparison of a view gives way to queries in all."""
 
 
 class ComparisonStore(ComparisonReader, Protocol):
@@ -78,6 +81,16 @@ class Descriptions(DescriptionReader, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class _Among:
+    """What views are compared with: those of an index, `count` of them, by a recipe."""
+
+    index: SearchableIndex
+    recipe: MapRecipe
+    count: int
+    give_way: Callable[[], None] = lambda: None
+
+
 class MapComparer:
     """Queries each map with its own views. Nothing is encoded: descriptions are read from the store.
 
@@ -88,6 +101,8 @@ class MapComparer:
     catalogue : Catalogue
     product : Product
         Multiplies dense cells.
+    quiet_s : function
+        Seconds since the last query was answered, 0 while one is under way: comparisons give way to queries.
     """
 
     def __init__(
@@ -97,9 +112,11 @@ class MapComparer:
         descriptions: Descriptions,
         catalogue: Catalogue,
         product: Product,
+        quiet_s: Callable[[], float] = lambda: math.inf,
     ) -> None:
         self._comparisons, self._descriptions = comparisons, descriptions
         self._catalogue, self._product = catalogue, product
+        self._quiet_s = quiet_s
         self._nothing_due: tuple[int, int] | None = None  # sample and revision at which nothing was due
 
     def step(self, *, busy: bool = False, rest: Rest = lambda seconds: False) -> bool:
@@ -109,8 +126,9 @@ class MapComparer:
         ----------
         busy : bool
             Images wait to be described: compare no more than `FIRST` of each map, and small maps not again.
-        rest : function
-            Called with 0 after each view, and after the portion with the time that it took. A job that waits ends both.
+        rest : Rest
+            Called while queries are answered, with 0 after each view, and after the portion with the time that it
+            took. A job that waits ends all three.
         """
         sample, revision = FIRST if busy else SAMPLE, self._comparisons.last_revision()
         if (sample, revision) == self._nothing_due:
@@ -125,15 +143,16 @@ class MapComparer:
             return True  # the map has just been deleted
         if record.description.id != due.recipe:
             return True  # the map has just changed over
-        began = time.monotonic()
-        made = []
+        began, waited_s, made = time.monotonic(), 0.0, []
         for seq in due.seqs:
-            made.append(self._attempt(seq, index, record.description, record.ranking, due.among))
+            give_way = GivingWay(self._quiet_s, rest, GIVE_WAY_S)
+            made.append(self._attempt(seq, _Among(index, record.recipe, due.among, give_way)))
+            waited_s += give_way.waited_s
             if rest(0):
                 break
         kept = [one for one in made if one is not None]
         self._comparisons.keep(due.map, record.recipe, kept, datetime.now(UTC), record.revision)
-        rest(time.monotonic() - began)
+        rest(max(0.0, time.monotonic() - began - 2 * waited_s))  # waiting was rest too
         return True
 
     def all(self) -> None:
@@ -146,12 +165,10 @@ class MapComparer:
 
         `among`: how many views the index has. Views that were deleted meanwhile are left out.
         """
-        made = [self._attempt(seq, index, recipe.description, recipe.ranking, among) for seq in seqs]
+        made = [self._attempt(seq, _Among(index, recipe, among)) for seq in seqs]
         return [one for one in made if one is not None]
 
-    def _attempt(
-        self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
-    ) -> Comparison | None:
+    def _attempt(self, seq: int, among: _Among) -> Comparison | None:
         """As `_compare`; a view that cannot be compared is logged, and left until the map changes.
 
         Raises
@@ -160,29 +177,29 @@ class MapComparer:
             It cannot be read now, which says nothing of the view.
         """
         try:
-            return self._compare(seq, index, recipe, config, among)
+            return self._compare(seq, among)
         except STORAGE_ERRORS:
             raise
         except NotFound:  # the map has just been deleted
             return None
         except Exception:
             log.exception("the view with the sequence number %d could not be compared with its map", seq)
-            return Comparison(seq, level=None, gap=None, same_spot=(), among=among, others=0)
+            return Comparison(seq, level=None, gap=None, same_spot=(), among=among.count, others=0)
 
-    def _compare(
-        self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
-    ) -> Comparison | None:
+    def _compare(self, seq: int, among: _Among) -> Comparison | None:
         """The comparison of one view; None when views were deleted meanwhile."""
+        among.give_way()
+        recipe, config = among.recipe.description, among.recipe.ranking
         whole = self._descriptions.whole(seq, recipe)
         if whole is None:
             return None
-        fixed = [self._catalogue.camera_fixed(index, recipe)]
+        fixed = [self._catalogue.camera_fixed(among.index, recipe)]
         fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id, fixed=fixed)
         query = fetcher.without_fixed(whole)
         try:
             usual = max(2, config.searched)
-            found = self._search(index, query, usual, {seq})
-            ranking = self._rank(query, found, recipe, config, fetcher)
+            found = _search(among, query, usual, {seq})
+            ranking = self._rank(query, found, among, fetcher)
             spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
             same_spot = tuple(sorted(spot))
             near = own = {seq} | spot
@@ -193,16 +210,18 @@ class MapComparer:
                 seqs = [int(other) for other in found.seqs]
                 own = own | {other for other in seqs if places.same(seq, other)}
                 near = near | {other for other in seqs if not places.apart(seq, other)}
-                left_out = near if among - len(near) >= ENOUGH_VIEWS else own
+                left_out = near if among.count - len(near) >= ENOUGH_VIEWS else own
                 if left_out.isdisjoint(seqs):
                     break
                 if len(left_out) > MOST_OWN:
-                    return Comparison(seq, level=None, gap=None, same_spot=same_spot, among=among, others=0, own=best)
-                found = self._search(index, query, usual << max(0, repeated + 1 - WIDENED), left_out)
+                    return Comparison(
+                        seq, level=None, gap=None, same_spot=same_spot, among=among.count, others=0, own=best
+                    )
+                found = _search(among, query, usual << max(0, repeated + 1 - WIDENED), left_out)
                 places = _places(seq, found, fetcher, config)
             if repeated > WIDENED:
-                found = self._search(index, query, usual, left_out)
-            others = self._rank(query, found, recipe, config, fetcher)
+                found = _search(among, query, usual, left_out)
+            others = self._rank(query, found, among, fetcher)
         except ViewGone:
             return None
         level = float(others.scores[0]) if len(others.seqs) else None
@@ -214,25 +233,23 @@ class MapComparer:
             level=level,
             gap=gap,
             same_spot=same_spot,
-            among=among,
+            among=among.count,
             others=found.searched,
             rival=None if level is None else int(others.seqs[0]),
             own=best,
             breadth=breadth,
         )
 
-    def _search(self, index: SearchableIndex, query: Description, count: int, never: set[int]) -> Candidates:
-        return index.search(query.vectors, count, Selection(None, np.array(sorted(never))))
+    def _rank(self, query: Description, found: Candidates, among: _Among, fetcher: Fetcher) -> Ranking:
+        return cascade.rank(
+            query, found, among.recipe.description, among.recipe.ranking, fetcher, top=2,
+            observe=lambda stage, evidence: among.give_way(), product=self._product,
+        )  # fmt: skip
 
-    def _rank(
-        self,
-        query: Description,
-        found: Candidates,
-        recipe: DescriptionRecipe,
-        config: RankingConfig,
-        fetcher: Fetcher,
-    ) -> Ranking:
-        return cascade.rank(query, found, recipe, config, fetcher, top=2, product=self._product)
+
+def _search(among: _Among, query: Description, count: int, never: set[int]) -> Candidates:
+    among.give_way()
+    return among.index.search(query.vectors, count, Selection(None, np.array(sorted(never))))
 
 
 def _places(seq: int, found: Candidates, fetcher: Fetcher, config: RankingConfig) -> Places:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from worker.service.comparing import Rest
+from worker.service.giving_way import Rest
 
 
 class Sweeping(Protocol):

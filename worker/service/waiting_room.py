@@ -1,5 +1,6 @@
 """Where images wait before they are decoded, so that few of them hold pixels."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -81,12 +82,19 @@ class WaitingRoom:
         self._turns: Turns[_Seat] = Turns()
         self._seats: list[_Seat] = []
         self._lock = threading.Lock()
+        self._emptied = -math.inf  # when the last image left, of a monotonic clock
 
     @property
     def outside(self) -> int:
         """Images whose turn has not come."""
         with self._lock:
             return sum(not seat.let_in.done() for seat in self._seats)
+
+    @property
+    def quiet_s(self) -> float:
+        """Seconds since the room was left empty; 0 while an image is inside or waits."""
+        with self._lock:
+            return 0.0 if self._seats else time.monotonic() - self._emptied
 
     @contextmanager
     def decoded(self, data: bytes, caller: Caller) -> Iterator[Decoded]:
@@ -129,6 +137,7 @@ class WaitingRoom:
     def _leave(self, seat: _Seat) -> None:
         with self._lock:
             self._seats.remove(seat)
+            self._emptied = time.monotonic()
             self._let_in()
 
     def _let_in(self) -> None:
