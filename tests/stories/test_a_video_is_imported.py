@@ -1,5 +1,8 @@
 """A video is sent: a frame every so often is enrolled, whatever happens meanwhile; so are images far enough apart."""
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,7 +17,7 @@ import pytest
 from tests.drawn_videos import frames, video
 from tests.sample_images import encoded
 from tests.stories.importing import ZIP, ended, photos, zipped
-from tests.stories.running import RunningService
+from tests.stories.running import ROOT, RunningService
 from tests.waiting import until
 from worker.images.apart.video import Video
 
@@ -180,3 +183,17 @@ def test_images_of_which_nothing_is_known_cannot_be_chosen_by_it(client: httpx.C
     refused = client.post("/maps/none/imports?every=1m", content=zipped(photos(3)), headers=ZIP)
     assert refused.status_code == 422
     assert "no image of the recording has a position" in refused.text
+
+
+def test_videos_are_imported_in_a_data_folder_whose_name_is_not_utf8(tmp_path: Path) -> None:
+    """As on a disk from other days. OpenCV crashed, and `doctor` could not open the database."""
+    data = tmp_path / os.fsdecode(b"caf\xe9")
+    data.mkdir()
+    body = video(tmp_path / "a.avi", frames(4, 256), 1)
+    with RunningService(data, REVISIT_COMPARE="false") as one, httpx.Client(base_url=one.url, timeout=60) as client:
+        result = sent(client, "walk", body, {"content-type": "application/octet-stream"})
+        doctor = [sys.executable, "-m", "app.cli", "doctor", "--data", str(data), "--url", one.url]
+        told = subprocess.run(doctor, cwd=ROOT, capture_output=True, check=False, text=True)
+    assert counts(result) == (4, 4, 0, 0)
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "4 of 4 images find themselves" in told.stdout

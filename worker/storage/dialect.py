@@ -164,7 +164,7 @@ def _make_reader(url: str, damaged: bool) -> sa.Engine:
     path = Path(parsed.database).absolute()
     # Beside a file SQLite makes others even to read it. Where it may not, the file alone can be read, without its log.
     still = "" if os.access(path.parent, os.W_OK) or _has_log(path) else "&immutable=1"
-    address = f"file:{quote(str(path))}?mode=ro{still}"
+    address = f"file:{quote(os.fsencode(path))}?mode=ro{still}"
 
     def connect() -> sqlite3.Connection:
         connection = sqlite3.connect(address, uri=True, timeout=BUSY_S, check_same_thread=False)

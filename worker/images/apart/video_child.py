@@ -62,7 +62,7 @@ def chosen(times_ms: list[float], every_s: float) -> list[float]:
 
 def main(arguments: list[str]) -> None:
     """Answer on standard output."""
-    what, path = arguments[:2]
+    what, video = arguments[0], Path(arguments[1])
     every_s, max_pixels, seconds = float(arguments[2]), int(arguments[3]), float(arguments[4])
     answers = take_stdout()
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = f"protocol_whitelist;file|format_whitelist;{CONTAINERS}"
@@ -72,6 +72,8 @@ def main(arguments: list[str]) -> None:
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     restrict(max_pixels)
     signal.alarm(SCAN_S)
+    os.chdir(video.parent)  # OpenCV crashes where a folder's name is not UTF-8
+    path = video.name
     times = _times(cv2, path)
     if what == "list":
         signal.alarm(math.ceil(seconds) + 1)
