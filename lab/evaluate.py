@@ -238,9 +238,12 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
             outcomes.append(outcome)
     evaluations = [o.evaluation for o in outcomes]
     (options.out / "evaluation.json").write_text(as_json(evaluations))
-    (options.out / "evaluation.md").write_text(overview(evaluations) + "\n")
     images = {o.evaluation.dataset: o.examples for o in outcomes}
-    (options.out / "report.html").write_text(as_html(evaluations, images, f"revisit on {options.root.name}"))
+    for name, text in (
+        ("evaluation.md", overview(evaluations) + "\n"),
+        ("report.html", as_html(evaluations, images, f"revisit on {options.root.name}")),
+    ):
+        (options.out / name).write_text(text, "utf-8", "backslashreplace")  # names of files may be no UTF-8
     print(f"report: {options.out / 'report.html'}")
     return 0
 

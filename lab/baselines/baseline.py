@@ -127,7 +127,8 @@ def _readable(path: Path, decode: Callable[[Path], object]) -> bool:
 
 
 def _decoded(path: Path, how: int) -> npt.NDArray[np.uint8]:
-    pixels = cv2.imread(str(path), how)
+    data = np.fromfile(path, np.uint8)  # cv2.imread crashes where a path is not UTF-8
+    pixels = cv2.imdecode(data, how) if data.size else None
     if pixels is None:
         raise BadImage(UNREADABLE, f"{path} cannot be decoded as an image")
     return np.asarray(pixels, np.uint8)

@@ -1,5 +1,6 @@
 """The command line of rivals: protocols, what orders answers anew, and what is refused before a long run."""
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -128,6 +129,17 @@ def test_a_set_is_exported_by_names_and_evaluated_again(tmp_path: Path, capsys: 
     command = ["folder", "--root", str(tmp_path / "there"), "--protocol", "utm", "--no-service", "--baselines", "tiny"]
     assert main([*command, *out]) == 0
     assert "tiny image  1.000" in capsys.readouterr().out
+
+
+def test_a_set_in_a_folder_whose_name_is_not_utf8_is_evaluated(tmp_path: Path) -> None:
+    """OpenCV crashed, and the report could not be written."""
+    for i in range(3):
+        for role in ("database", "query"):
+            image(tmp_path / "set" / role / f"{i}.jpg", i)
+    root = (tmp_path / "set").rename(tmp_path / os.fsdecode(b"caf\xe9"))
+    out = ["--out", str(tmp_path / "out")]
+    assert main(["aligned", "--root", str(root), "--no-service", "--baselines", "tiny", *out]) == 0
+    assert "caf\\udce9" in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(
