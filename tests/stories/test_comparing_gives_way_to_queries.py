@@ -57,8 +57,7 @@ class Time:
 @pytest.fixture
 def clock(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> Time:
     time = Time(quiet_at=1.0)
-    for module in (comparing, giving_way):
-        monkeypatch.setattr(module, "time", time)
+    monkeypatch.setattr(comparing, "time", time)
     monkeypatch.setattr(runtime.comparer, "_quiet_s", time.quiet_s)
     return time
 
