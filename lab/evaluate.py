@@ -243,7 +243,7 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
         ("evaluation.md", overview(evaluations) + "\n"),
         ("report.html", as_html(evaluations, images, f"revisit on {options.root.name}")),
     ):
-        (options.out / name).write_text(text, "utf-8", "backslashreplace")  # names of files may be no UTF-8
+        (options.out / name).write_text(text, "utf-8", "backslashreplace")  # the name of the root may be no UTF-8
     print(f"report: {options.out / 'report.html'}")
     return 0
 

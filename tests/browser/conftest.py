@@ -17,7 +17,7 @@ from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, Request, ViewportSize
+    from playwright.sync_api import Browser, Locator, Page, Request, ViewportSize
 
 PLACES = {"mill lane": (0, 0), "station road": (40, 5), "rose garden": (80, -12), "castle park": (31, 60)}
 """Names, and positions in metres."""
@@ -88,15 +88,11 @@ class Tab:
 
     def awaits(self, selector: str, count: int) -> None:
         """Wait until so many elements are there."""
-        from playwright.sync_api import expect
-
-        expect(self.page.locator(selector)).to_have_count(count, timeout=PATIENCE_MS)
+        _expected(self.page.locator(selector)).to_have_count(count, timeout=PATIENCE_MS)
 
     def awaits_enabled(self, button: str) -> None:
         """Wait until a button can be pressed: it cannot while what it began is not over."""
-        from playwright.sync_api import expect
-
-        expect(self.page.get_by_role("button", name=button)).to_be_enabled(timeout=PATIENCE_MS)
+        _expected(self.page.get_by_role("button", name=button)).to_be_enabled(timeout=PATIENCE_MS)
 
     def confirm(self, name: str) -> None:
         """Press the button that removes something, once no image is on its way: of what is gone there is none."""
@@ -130,6 +126,13 @@ class Tab:
             self.page.context.close()
             self.complaints = heard
         assert self.complaints == []
+
+
+def _expected(of: "Locator") -> Any:
+    """Playwright's assertions of an element, which wait; it is imported where there is a browser alone."""
+    from playwright.sync_api import expect
+
+    return expect(of)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """A robot queries the map that it has just enrolled: its answers do not wait for comparisons in the background."""
 
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -36,7 +37,7 @@ def compared(runtime: Runtime) -> int:
 
 
 class Time:
-    """A clock that goes on by rests alone, and since when it is quiet: never before `quiet_at`."""
+    """A clock that goes on by rests alone; queries are under way until `quiet_at`."""
 
     def __init__(self, quiet_at: float) -> None:
         self.now, self.quiet_at = 0.0, quiet_at
@@ -56,10 +57,10 @@ class Time:
 
 @pytest.fixture
 def clock(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> Time:
-    time = Time(quiet_at=1.0)
-    monkeypatch.setattr(comparing, "time", time)
-    monkeypatch.setattr(runtime.comparer, "_quiet_s", time.quiet_s)
-    return time
+    made = Time(quiet_at=1.0)
+    monkeypatch.setattr(comparing, "time", made)
+    monkeypatch.setattr(runtime.comparer, "_quiet_s", made.quiet_s)
+    return made
 
 
 def test_nothing_is_compared_while_a_query_is_answered(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,7 +75,8 @@ def test_nothing_is_compared_while_a_query_is_answered(runtime: Runtime, monkeyp
 
     def rest(seconds: float) -> bool:
         (looked if begun.is_set() else begun).set()
-        return threading.Event().wait(seconds)
+        time.sleep(seconds)
+        return False
 
     monkeypatch.setattr(runtime.store.descriptions, "whole", noted)
     with ThreadPoolExecutor(1) as thread:

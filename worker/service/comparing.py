@@ -83,7 +83,7 @@ class Descriptions(DescriptionReader, Protocol):
 
 @dataclass(frozen=True)
 class _Among:
-    """What views are compared with: those of an index, `count` of them, by a recipe."""
+    """What views are compared with: the `count` of an index, by a recipe; `give_way` is called before each stage."""
 
     index: SearchableIndex
     recipe: MapRecipe
