@@ -49,9 +49,9 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         Seconds without anything from the service after which an answer is given up; one that keeps coming is not, and
         that to a recording or a snapshot, which comes once all of it is stored, is waited for without end.
     patience : float
-        Seconds over which a call is repeated while the service is busy (429) or starting (503), or after a lost answer,
-        a gateway's 502 or 504 within a call among them; Retry-After is honoured. 0 never repeats. Enrolments carry an
-        Idempotency-Key, so that repeating is safe.
+        Seconds over which a call is repeated while the service is busy (429) or starting (503; Retry-After is
+        honoured), after a lost answer, and where a service that answered before is away (a refused connection, a
+        gateway's 502 or 504). 0 never repeats. Enrolments carry an Idempotency-Key, so that repeating is safe.
     transport : httpx.BaseTransport or None
         For tests.
     sleep, clock : callable

@@ -69,6 +69,9 @@ class Connection:
     ) -> None:
         self.url = without_password(url)  # as messages show it
         self._patience, self._sleep, self._clock = patience, sleep, clock
+        # Whether the service answered, and was not waited for in vain since: it may be starting again where it refuses
+        # the connection, or a gateway does not reach it.
+        self._there = False
         usual = httpx.Timeout(timeout, connect=min(5.0, timeout))
         # For what is answered once all that was sent is stored, in an object store say: that takes as long as it takes.
         self.until_stored = httpx.Timeout(timeout, connect=usual.connect, read=None)
@@ -141,7 +144,7 @@ class Connection:
             self._sleep(pause)
             pause = min(LONGEST_PAUSE_S, pause * 2)
             part = {"range": f"bytes={come}-", "if-range": tag}
-            answer = self.send("GET", path, stream=True, there=True, headers=headers | part)
+            answer = self.send("GET", path, stream=True, headers=headers | part)
             if not answer.headers.get("content-range", "").startswith(f"bytes {come}-"):
                 answer.close()
                 raise broken
@@ -177,13 +180,12 @@ class Connection:
 
     def pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:
         """Iterate over the pages of a list, fetched as needed."""
-        there = False
         while True:
-            page = self.receive(model, "GET", path, params=params, there=there)
+            page = self.receive(model, "GET", path, params=params)
             yield page
             if page.next is None:
                 return
-            params, there = {**params, "cursor": page.next}, True
+            params = {**params, "cursor": page.next}
 
     def send(
         self,
@@ -193,7 +195,6 @@ class Connection:
         repeat: bool = True,
         accept: int | None = None,
         stream: bool = False,
-        there: bool = False,
         **request: Any,
     ) -> httpx.Response:
         """Send a request; repeat it within `patience` seconds while that may help.
@@ -206,9 +207,6 @@ class Connection:
             A status of 400 or more that is returned instead of raised.
         stream : bool
             Whether the body of the answer is left to be read, and the answer to be closed, by the caller.
-        there : bool
-            Whether the service was just there, so that it may be starting again where it refuses the connection, or a
-            gateway does not reach it.
         **request
             Further arguments of `httpx.Client.build_request`.
 
@@ -225,17 +223,18 @@ class Connection:
                     answer.read()
             except httpx.TransportError as error:
                 trouble = Unreachable(self.url, reason(error))
-                # A refused connection is reported at once, unless the service has just answered or broken one off: it
-                # may be starting again, and nothing was sent. When a connection breaks, the service may have received
-                # the request already: then only requests with `repeat` are sent again.
+                # Where a connection is refused, nothing was sent. When it breaks, the service may have received the
+                # request already: then only requests with `repeat` are sent again.
                 refused = isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol)
-                again, wait = there if refused else repeat, pause
-                lost, there = lost or not refused, there or again
+                again, wait, answered = self._there if refused else repeat, pause, False
+                lost, self._there = lost or not refused, self._there or again
             except UnicodeEncodeError as error:
                 raise Unsendable(f"{error.object[:100]!r} is no Unicode, and cannot be sent") from None
             except httpx.DecodingError as error:
                 raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
             else:
+                answered = answer.status_code not in GATEWAY
+                self._there = self._there or answered
                 if answer.status_code < 300 or answer.status_code == accept:
                     return answer
                 named, problem = retry_after(answer), problem_of(answer)
@@ -244,12 +243,15 @@ class Connection:
                 trouble = RevisitProblem(problem, named, is_replayed(answer))
                 # 429 and 503 are answered before any work is done: every request may be repeated. What a gateway
                 # refuses may have been done.
-                away = there and repeat and answer.status_code in GATEWAY
-                again = there = away or answer.status_code in (429, 503) or (lost and _still_runs(answer))
+                away = self._there and repeat and not answered
+                again = away or answer.status_code in (429, 503) or (lost and _still_runs(answer))
                 lost = lost or away
                 # A time that is over by a clock that is ahead must not make calls without a pause.
                 wait = pause if named is None or named < FIRST_PAUSE_S else named
-            if not again or self._clock() + wait > deadline:
+            if not again:
+                raise trouble
+            if self._clock() + wait > deadline:
+                self._there = answered
                 raise trouble
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)

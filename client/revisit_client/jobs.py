@@ -142,11 +142,10 @@ class JobCalls:
 
     def _states(self, job_id: str, deadline: float) -> Iterator[wire.Job]:
         """The job without end: sent by the service as it changes, asked for where no events come through."""
-        pause, there = 0.05, False
+        pause = 0.05
         while True:
-            job = self._connection.receive(wire.Job, "GET", address("jobs", job_id), there=there)
+            job = self._connection.receive(wire.Job, "GET", address("jobs", job_id))
             yield job
-            there = True
             silence = max(0.1, min(SILENCE_S, deadline - self._clock()))
             try:
                 for now in self._connection.events(wire.Job, address("jobs", job_id, "events"), silence):

@@ -1,7 +1,9 @@
 """What the client does where an answer is lost, late, cut or not the service's."""
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
+from threading import Event
 
 import httpx
 import pytest
@@ -9,6 +11,8 @@ from revisit_client import ClientError, RevisitProblem, Unreachable
 
 from tests import answers
 from tests.client.test_client import Clock, Handler, client, refused
+
+CLOSED = "[Errno 111] Connection refused"
 
 
 def in_turn(*happens: Exception | httpx.Response) -> Handler:
@@ -20,6 +24,17 @@ def in_turn(*happens: Exception | httpx.Response) -> Handler:
         if isinstance(now, Exception):
             raise now
         return now
+
+    return handler
+
+
+def unless(closed: Event, answer: httpx.Response) -> Handler:
+    """The same answer for ever, unless the port is closed."""
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        if closed.is_set():
+            raise httpx.ConnectError(CLOSED)
+        return answer
 
     return handler
 
@@ -92,7 +107,7 @@ def test_a_download_waits_for_a_service_that_starts_again(tmp_path: Path) -> Non
 
     def starting(request: httpx.Request) -> httpx.Response:
         if next(refuses):
-            raise httpx.ConnectError("[Errno 111] Connection refused")
+            raise httpx.ConnectError(CLOSED)
         return next(answers_)(request)
 
     assert client(starting).download_snapshot("s1", tmp_path / "map").read_bytes() == WHOLE
@@ -140,14 +155,52 @@ def test_a_file_that_is_deleted_while_it_is_fetched_is_told(tmp_path: Path) -> N
 @pytest.mark.parametrize("status", [429, 503])
 def test_a_service_that_was_there_just_now_is_waited_for(status: int) -> None:
     """It says that it stops, and then its port is closed until it has started again."""
-    closed = httpx.ConnectError("[Errno 111] Connection refused")
+    closed = httpx.ConnectError(CLOSED)
     handler = in_turn(refused("unavailable", status), closed, closed, httpx.Response(201, json=answers.enrolled()))
 
     assert client(handler).enroll(b"image").created
 
 
+def test_a_service_that_starts_again_between_two_calls_is_waited_for() -> None:
+    """As between two images of a drive."""
+    closed, found = httpx.ConnectError(CLOSED), httpx.Response(200, json=answers.query_answer())
+    clock = Clock()
+    revisit = client(in_turn(found, closed, closed, refused("unavailable", 503), found), clock)
+
+    assert revisit.query(b"one").query == revisit.query(b"two").query
+    assert clock.naps == [0.25, 0.5, 1.0]
+
+
+def test_a_service_that_was_waited_for_in_vain_is_waited_for_once_it_has_answered() -> None:
+    clock, closed, waited = Clock(), Event(), list[bool]()
+    revisit = client(unless(closed, httpx.Response(200, json={"maps": []})), clock, patience=10)
+
+    for away in (True, False, True, True, False, True):
+        (closed.set if away else closed.clear)()
+        began = clock.now
+        with pytest.raises(Unreachable, match="refused") if away else nullcontext():
+            revisit.maps()
+        waited.append(clock.now > began)
+
+    assert waited == [False, False, True, False, False, True]
+
+
+@pytest.mark.parametrize("busy", [429, 503])
+def test_a_service_that_was_busy_for_long_is_there(busy: int) -> None:
+    clock, closed = Clock(), Event()
+    revisit = client(unless(closed, refused("unavailable", busy)), clock, patience=10)
+
+    with pytest.raises(RevisitProblem):
+        revisit.maps()
+    closed.set()
+    began = clock.now
+    with pytest.raises(Unreachable):
+        revisit.maps()
+    assert clock.now > began
+
+
 def test_what_must_not_be_done_twice_is_sent_again_where_nothing_was_sent() -> None:
-    stopping, closed = refused("unavailable", 503), httpx.ConnectError("[Errno 111] Connection refused")
+    stopping, closed = refused("unavailable", 503), httpx.ConnectError(CLOSED)
 
     with pytest.raises(RevisitProblem, match="There is no such thing"):
         client(in_turn(stopping, closed, refused("not-found", 404))).make_snapshot("walk")
@@ -187,7 +240,7 @@ def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
     clock = Clock()
     handler = in_turn(
         httpx.RemoteProtocolError("Server disconnected without sending a response."),
-        httpx.ConnectError("[Errno 111] Connection refused"),
+        httpx.ConnectError(CLOSED),
         refused("unavailable", 503),
         httpx.Response(201, json=answers.enrolled()),
     )
@@ -198,7 +251,7 @@ def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
 
 def test_a_service_that_starts_again_between_two_pages_or_looks_is_waited_for() -> None:
     """A list of many views and a long job are one call each, whatever lies between the requests that it takes."""
-    closed = httpx.ConnectError("[Errno 111] Connection refused")
+    closed = httpx.ConnectError(CLOSED)
     pages = [
         httpx.Response(200, json={"views": [answers.view(one)], "next": more})
         for one, more in (("a", "b"), ("b", None))
