@@ -184,16 +184,22 @@ def test_what_would_refuse_every_image_stops_it_at_once(
 
 def test_an_interrupted_one_says_how_many_are_in(service: FakeService, folder: Path, capsys: Out) -> None:
     """CTRL-C while the second image is sent."""
-    count = iter(range(9))
+    count, interrupted = iter(range(9)), threading.Event()
 
     def reply(body: bytes) -> tuple[int, Any]:
         if next(count) == 1:
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            while not interrupted.is_set():
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+                interrupted.wait(5)  # again if it came just before the main thread began to wait for the answer
             time.sleep(0.5)
         return 201, answers.enrolled()
 
+    def interrupt(*_: object) -> None:
+        interrupted.set()
+        raise KeyboardInterrupt
+
     service.replies["POST /enroll"] = reply
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup, and shells in the background, ignore it
+    before = signal.signal(signal.SIGINT, interrupt)
     try:
         assert main(["enroll", str(folder), "--parallel", "1"]) == 130
     finally:

@@ -1,5 +1,6 @@
 """Whether a shared encoder is ready, and alive."""
 
+import re
 import time
 from collections.abc import Iterator
 
@@ -23,7 +24,7 @@ def test_it_is_ready_when_it_encodes_and_says_why_not(monkeypatch: pytest.Monkey
         answer = client.get("/readyz")
 
         assert answer.status_code == 503
-        assert answer.json()["checks"] == {"encoder": "it has encoded no image for 0 s"}
+        assert re.fullmatch(r"it has encoded no image for \d+ s", answer.json()["checks"]["encoder"])
         assert "retry-after" in answer.headers
         encoder.open.set()
         until(lambda: client.get("/readyz").status_code == 200)

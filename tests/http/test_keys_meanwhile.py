@@ -11,6 +11,7 @@ from schemas.keys import KeyRecord
 from tests.http.fakes import FakeRuntime
 from tests.keys_in_memory import KeyMaker
 from tests.openapi import CheckedClient
+from tests.waiting import until
 
 
 def test_probes_do_not_wait_for_keys_that_cannot_be_read() -> None:
@@ -28,10 +29,13 @@ def test_probes_do_not_wait_for_keys_that_cannot_be_read() -> None:
     with CheckedClient(FakeRuntime(keys=keys.service).app()) as client:
         try:
             for path in ("/livez", "/readyz", "/version", "/"):
-                keys.seconds += 1
-                began = time.perf_counter()
-                assert client.get(path).status_code == 200
-                assert time.perf_counter() - began < 0.5
+                took_s = []
+                for _ in range(3):  # the machine may have other work
+                    keys.seconds += 1
+                    began = time.perf_counter()
+                    assert client.get(path).status_code == 200
+                    took_s.append(time.perf_counter() - began)
+                assert min(took_s) < 0.5
         finally:
             answering.set()
 
@@ -67,7 +71,7 @@ def test_events_end_once_their_key_does_not_do_any_more(change: str) -> None:
     key = keys.make("robot", "read") if change == "revoked" else None
 
     def lose() -> None:
-        time.sleep(0.3)
+        until(lambda: len(runtime.recogniser.job_states) < 19)
         if change == "revoked":
             keys.service.revoke("robot", datetime.now(UTC))
         else:

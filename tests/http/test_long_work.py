@@ -13,6 +13,7 @@ from app.http.recognise import Recogniser
 from schemas import wire
 from schemas.records import ViewAttributes
 from tests import answers
+from tests.waiting import until
 
 MANY = 50
 """More than asyncio has threads."""
@@ -89,8 +90,9 @@ def test_other_long_work_is_done_while_many_wait_for_drawings(
 
     async def meanwhile() -> tuple[object, int]:
         waiting = [asyncio.ensure_future(draw(curator)) for _ in range(MANY)]
-        await asyncio.sleep(0.05)
         try:
+            await asyncio.to_thread(until, lambda: len(work.calls) == DRAWN_AT_ONCE)
+            await asyncio.sleep(0.05)  # in which more would be begun
             return await asyncio.wait_for(curator._long.run(lambda: "done"), 10), len(work.calls)
         finally:
             work.ends.set()
