@@ -3,10 +3,8 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-NO_MORE_THREADS = (
-    "the system lets this process start no further thread: raise its limit of processes (--pids-limit of a container, "
-    "podPidsLimit, TasksMax=, ulimit -u)"
-)
+MORE_PROCESSES = "raise the limit of processes (--pids-limit of a container, podPidsLimit, TasksMax=, ulimit -u)"
+NO_MORE_THREADS = f"the system lets this process start no further thread: {MORE_PROCESSES}"
 
 
 class Threads(ThreadPoolExecutor):

@@ -233,7 +233,9 @@ def test_a_check_starts_what_has_ended_and_says_why_nothing_can_be_started(
     for process in pool.processes:
         process.kill()
     monkeypatch.setattr(process_module, "launched", refuse)
-    assert "no process for decoding can be started" in pool.check()
+    told = pool.check()
+    assert "no process for decoding can be started" in told
+    assert "raise the limit of processes (--pids-limit" in told
     with pytest.raises(Unavailable):
         pool.decode(photo())
     monkeypatch.undo()

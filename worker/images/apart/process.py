@@ -1,5 +1,6 @@
 """One decoder's process as the service holds it."""
 
+import errno
 import mmap
 import os
 import signal
@@ -10,6 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from schemas.errors import Unavailable
+from schemas.threads import MORE_PROCESSES
 from worker.images.apart.launching import launched
 from worker.images.apart.protocol import READY, Request, mapped, receive_reply, shared_memory
 from worker.images.codec import Limits
@@ -81,7 +83,8 @@ class DecoderProcess:
             ).result()
         except OSError as error:
             ours.close()
-            raise Unavailable(f"no process for decoding can be started ({error}); try again in 5 s", 5) from error
+            remedy = MORE_PROCESSES if error.errno == errno.EAGAIN else "try again in 5 s"
+            raise Unavailable(f"no process for decoding can be started ({error}); {remedy}", 5) from error
         finally:
             theirs.close()
             for number in numbers:
