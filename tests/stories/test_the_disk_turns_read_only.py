@@ -141,7 +141,7 @@ def test_everybody_is_answered_and_what_was_acknowledged_is_there_after_a_repair
             found = client.post("/query", content=image(number), headers=JPEG).json()
             assert found["matches"][0]["view"]["id"] == view
         for number in callers.acknowledged:
-            assert client.post("/enroll", content=image(number), headers=JPEG).status_code == 200, "it was lost"
+            assert client.post("/enroll", content=image(number), headers=JPEG).json()["created"] is False, "it was lost"
         for view in callers.deleted:
             assert client.get(f"/views/{view}").status_code == 404
         for view in deletable:
@@ -149,4 +149,4 @@ def test_everybody_is_answered_and_what_was_acknowledged_is_there_after_a_repair
             assert image_there is (client.get(f"/views/{view}").status_code == 200)
             # One that was being deleted when the disk turned is there, or gone: nobody was told.
             assert image_there or callers.refused.get(view, since) < since
-        assert client.post("/enroll", content=image(99_999), headers=JPEG).status_code == 201
+        assert client.post("/enroll", content=image(99_999), headers=JPEG).json()["created"] is True
