@@ -200,7 +200,7 @@ def test_connections_that_stop_before_the_end_keep_nobody_out(tmp_path: Path) ->
 
         def enrolled() -> httpx.Response:
             body = photo() + bytes(100_000)
-            return httpx.post(f"{service.url}/enroll", content=body, headers={"content-type": "image/jpeg"})
+            return httpx.post(f"{service.url}/enroll", content=body, headers={"content-type": "image/jpeg"}, timeout=60)
 
         def refused() -> tuple[socket.socket, httpx.Response] | None:
             """One of the connections that fill the memory, and the answer to who comes next."""

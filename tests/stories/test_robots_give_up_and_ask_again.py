@@ -163,7 +163,7 @@ def test_an_image_of_a_drive_counts_once_whatever_became_of_it_before(runtime: R
     for key in "12":
         headers = {**JPEG, "idempotency-key": key}
         address = f"http://127.0.0.1:{port}/query?map=town&drive=robot-1"
-        images.append(httpx.post(address, content=PHOTO, headers=headers).json()["drive"]["images"])
+        images.append(httpx.post(address, content=PHOTO, headers=headers, timeout=60).json()["drive"]["images"])
     assert images == [1, 2]
 
 
