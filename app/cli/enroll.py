@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 OF_THE_SERVICE = frozenset(("unauthorized", "forbidden", "other-site", "too-many-requests", "unavailable", "disk-full"))
 """Problems that every further image would meet too, once the client's patience is over."""
 
+OF_GATEWAYS = (502, 504)
+"""Statuses of a gateway that does not reach the service: so would every further image."""
+
 Work: TypeAlias = "tuple[Path, images.Known]"
 """An image and its attributes."""
 
@@ -210,7 +213,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
             try:
                 answer = revisit.enroll(path, **known)
             except (RevisitProblem, Unsendable, OSError) as error:
-                if isinstance(error, RevisitProblem) and error.code in OF_THE_SERVICE:
+                if isinstance(error, RevisitProblem) and (error.code in OF_THE_SERVICE or error.status in OF_GATEWAYS):
                     stop.append(error)
                     return
                 with lock:

@@ -1,6 +1,7 @@
 """HTTP requests to a service, repeated while it is busy, starting or its answer got lost."""
 
 import ipaddress
+import logging
 import os
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
@@ -20,6 +21,8 @@ from revisit_client.errors import (
     retry_after,
     without_password,
 )
+
+log = logging.getLogger("revisit_client")
 
 USER_AGENT = "revisit-client"
 
@@ -72,6 +75,7 @@ class Connection:
         # Whether the service answered, and was not waited for in vain since: it may be starting again where it refuses
         # the connection, or a gateway does not reach it.
         self._there = False
+        self._missed = False  # whether it was said that it is waited for
         usual = httpx.Timeout(timeout, connect=min(5.0, timeout))
         # For what is answered once all that was sent is stored, in an object store say: that takes as long as it takes.
         self.until_stored = httpx.Timeout(timeout, connect=usual.connect, read=None)
@@ -226,15 +230,15 @@ class Connection:
                 # Where a connection is refused, nothing was sent. When it breaks, the service may have received the
                 # request already: then only requests with `repeat` are sent again.
                 refused = isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol)
-                again, wait, answered = self._there if refused else repeat, pause, False
+                again, wait, answered, why = self._there if refused else repeat, pause, False, reason(error)
                 lost, self._there = lost or not refused, self._there or again
             except UnicodeEncodeError as error:
                 raise Unsendable(f"{error.object[:100]!r} is no Unicode, and cannot be sent") from None
             except httpx.DecodingError as error:
                 raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
             else:
-                answered = answer.status_code not in GATEWAY
-                self._there = self._there or answered
+                answered, why = answer.status_code not in GATEWAY, f"HTTP {answer.status_code}"
+                self._there, self._missed = self._there or answered, self._missed and not answered
                 if answer.status_code < 300 or answer.status_code == accept:
                     return answer
                 named, problem = retry_after(answer), problem_of(answer)
@@ -253,6 +257,9 @@ class Connection:
             if self._clock() + wait > deadline:
                 self._there = answered
                 raise trouble
+            if not answered and not self._missed:
+                self._missed = True
+                log.warning("%s does not answer (%s); it is waited for, at most %.0f s", self.url, why, self._patience)
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)
 

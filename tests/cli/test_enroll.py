@@ -164,7 +164,8 @@ def test_a_service_that_is_gone_stops_it_and_says_how_to_go_on(folder: Path, cap
 
 
 @pytest.mark.parametrize(
-    ("status", "code", "told"), [(401, "unauthorized", "REVISIT_KEY"), (403, "forbidden", ""), (507, "disk-full", "")]
+    ("status", "code", "told"),
+    [(401, "unauthorized", "REVISIT_KEY"), (403, "forbidden", ""), (507, "disk-full", ""), (502, "bad-gateway", "")],
 )
 def test_what_would_refuse_every_image_stops_it_at_once(
     service: FakeService, tmp_path: Path, capsys: Out, status: int, code: str, told: str

@@ -1,9 +1,7 @@
 """What the client does where an answer is lost, late, cut or not the service's."""
 
 from collections.abc import Iterator
-from contextlib import nullcontext
 from pathlib import Path
-from threading import Event
 
 import httpx
 import pytest
@@ -24,17 +22,6 @@ def in_turn(*happens: Exception | httpx.Response) -> Handler:
         if isinstance(now, Exception):
             raise now
         return now
-
-    return handler
-
-
-def unless(closed: Event, answer: httpx.Response) -> Handler:
-    """The same answer for ever, unless the port is closed."""
-
-    def handler(request: httpx.Request) -> httpx.Response:
-        if closed.is_set():
-            raise httpx.ConnectError(CLOSED)
-        return answer
 
     return handler
 
@@ -152,53 +139,6 @@ def test_a_file_that_is_deleted_while_it_is_fetched_is_told(tmp_path: Path) -> N
     assert (caught.value.code, list(tmp_path.iterdir())) == ("not-found", [])
 
 
-@pytest.mark.parametrize("status", [429, 503])
-def test_a_service_that_was_there_just_now_is_waited_for(status: int) -> None:
-    """It says that it stops, and then its port is closed until it has started again."""
-    closed = httpx.ConnectError(CLOSED)
-    handler = in_turn(refused("unavailable", status), closed, closed, httpx.Response(201, json=answers.enrolled()))
-
-    assert client(handler).enroll(b"image").created
-
-
-def test_a_service_that_starts_again_between_two_calls_is_waited_for() -> None:
-    """As between two images of a drive."""
-    closed, found = httpx.ConnectError(CLOSED), httpx.Response(200, json=answers.query_answer())
-    clock = Clock()
-    revisit = client(in_turn(found, closed, closed, refused("unavailable", 503), found), clock)
-
-    assert revisit.query(b"one").query == revisit.query(b"two").query
-    assert clock.naps == [0.25, 0.5, 1.0]
-
-
-def test_a_service_that_was_waited_for_in_vain_is_waited_for_once_it_has_answered() -> None:
-    clock, closed, waited = Clock(), Event(), list[bool]()
-    revisit = client(unless(closed, httpx.Response(200, json={"maps": []})), clock, patience=10)
-
-    for away in (True, False, True, True, False, True):
-        (closed.set if away else closed.clear)()
-        began = clock.now
-        with pytest.raises(Unreachable, match="refused") if away else nullcontext():
-            revisit.maps()
-        waited.append(clock.now > began)
-
-    assert waited == [False, False, True, False, False, True]
-
-
-@pytest.mark.parametrize("busy", [429, 503])
-def test_a_service_that_was_busy_for_long_is_there(busy: int) -> None:
-    clock, closed = Clock(), Event()
-    revisit = client(unless(closed, refused("unavailable", busy)), clock, patience=10)
-
-    with pytest.raises(RevisitProblem):
-        revisit.maps()
-    closed.set()
-    began = clock.now
-    with pytest.raises(Unreachable):
-        revisit.maps()
-    assert clock.now > began
-
-
 def test_what_must_not_be_done_twice_is_sent_again_where_nothing_was_sent() -> None:
     stopping, closed = refused("unavailable", 503), httpx.ConnectError(CLOSED)
 
@@ -236,39 +176,6 @@ def test_an_image_of_a_drive_is_repeated_under_one_key_and_the_next_has_another(
     assert keys[3] is None
 
 
-def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
-    clock = Clock()
-    handler = in_turn(
-        httpx.RemoteProtocolError("Server disconnected without sending a response."),
-        httpx.ConnectError(CLOSED),
-        refused("unavailable", 503),
-        httpx.Response(201, json=answers.enrolled()),
-    )
-
-    assert client(handler, clock).enroll(b"x").created
-    assert clock.naps == [0.25, 0.5, 1.0]
-
-
-def test_a_service_that_starts_again_between_two_pages_or_looks_is_waited_for() -> None:
-    """A list of many views and a long job are one call each, whatever lies between the requests that it takes."""
-    closed = httpx.ConnectError(CLOSED)
-    pages = [
-        httpx.Response(200, json={"views": [answers.view(one)], "next": more})
-        for one, more in (("a", "b"), ("b", None))
-    ]
-    handler = in_turn(pages[0], closed, closed, pages[1])
-
-    assert [view.id for view in client(handler).views("walk")] == ["a", "b"]
-
-    events = {"content-type": "text/event-stream"}
-    broken = httpx.Response(200, headers=events, stream=Broken(b": alive\n\n"))
-    handler = in_turn(
-        httpx.Response(200, json=answers.job()), broken, closed, httpx.Response(200, json=answers.job("done"))
-    )
-
-    assert client(handler).wait_for_job("j1").state == "done"
-
-
 @pytest.mark.parametrize("folder", [False, True])
 def test_a_recording_is_sent_again_from_its_beginning_to_a_service_that_was_starting(
     folder: bool, tmp_path: Path
@@ -299,24 +206,6 @@ def test_an_answer_that_comes_once_all_is_stored_is_waited_for(tmp_path: Path) -
     with pytest.raises(ClientError):  # that is no map
         client(handler).restore(tmp_path / "a.zip")
     assert [(timeout["read"], timeout["write"]) for timeout in seen] == [(None, 60), (None, 60)]
-
-
-@pytest.mark.parametrize("status", [502, 504])
-def test_a_gateway_that_does_not_reach_the_service_is_repeated_where_that_was_just_there(status: int) -> None:
-    """A job runs for hours behind a load balancer, and the service is updated meanwhile."""
-    away = httpx.Response(status, text="<html>gateway</html>")
-    handler = in_turn(
-        httpx.Response(200, json=answers.job()), away, away, httpx.Response(200, json=answers.job("done"))
-    )
-    assert client(handler, Clock()).wait_for_job("j1").state == "done"
-
-    cut = httpx.ReadError("the gateway is told to let go")
-    assert client(in_turn(cut, away, httpx.Response(201, json=answers.enrolled())), Clock()).enroll(b"x").created
-
-    with pytest.raises(RevisitProblem, match=f"HTTP {status}"):  # nobody was there before
-        client(in_turn(away)).query(b"x")
-    with pytest.raises(RevisitProblem, match=f"HTTP {status}"):  # may have been done
-        client(in_turn(refused("unavailable", 503), away), Clock()).make_snapshot("town")
 
 
 def test_an_enrolment_whose_answer_got_lost_waits_for_the_first_that_still_runs() -> None:
