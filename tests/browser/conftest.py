@@ -1,5 +1,6 @@
 """A browser on a running service: Debian's Chromium, driven by Playwright; nothing is downloaded."""
 
+import json
 import re
 import shutil
 import time
@@ -32,6 +33,14 @@ PATIENCE_MS = 60_000
 """How long a machine with much else to do may take to show something."""
 
 SKIPPED = "NOT RUN: THE CONSOLE IS NOT TRIED IN A BROWSER"
+
+REMEMBER = """(selector) => {
+    const texts = new Set(JSON.parse(sessionStorage.getItem("remembered") ?? "[]"));
+    new MutationObserver(() => {
+        for (const one of document.querySelectorAll(selector)) texts.add(one.textContent);
+        sessionStorage.setItem("remembered", JSON.stringify([...texts]));
+    }).observe(document, { childList: true, subtree: true, characterData: true });
+}"""
 
 Open = Callable[..., "Tab"]
 
@@ -103,6 +112,16 @@ class Tab:
             assert time.monotonic() < until, f"never arrived: {[request.url for request in self._fetched]}"
             self.page.wait_for_timeout(50)
         button.press("Enter")
+
+    def remember(self, selector: str) -> None:
+        """Keep from now on, across reloads, the texts of elements that may be shown for a moment only."""
+        self.page.add_init_script(f"({REMEMBER})({json.dumps(selector)})")
+        self.page.evaluate(REMEMBER, selector)
+
+    def remembered(self) -> list[str]:
+        """The texts that were kept, as they came."""
+        texts: list[str] = json.loads(self.page.evaluate("sessionStorage.getItem('remembered') ?? '[]'"))
+        return texts
 
     def is_wider_than_the_window(self) -> bool:
         """Whether one has to scroll sideways."""
