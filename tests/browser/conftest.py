@@ -61,7 +61,7 @@ class Tab:
         self.page, self.url, self._refusals = page, url, refusals
         self.complaints: list[str] = []
         self._fetched: set[Request] = set()  # images on their way
-        page.on("console", lambda message: self._heard(message.type, message.text))
+        page.on("console", lambda said: self._heard(said.type, f"{said.text} ({said.location['url']})"))
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", self._sent)
         for ended in ("requestfinished", "requestfailed"):
