@@ -247,6 +247,12 @@ export function mapScreen(name) {
         ),
     );
 
+  function leave() {
+    left = true;
+    stop();
+    jobs?.stop();
+  }
+
   function removal() {
     const notice = h("div");
     return h(
@@ -269,10 +275,14 @@ export function mapScreen(name) {
               }))
             )
               return;
+            stop(); // what is deleted cannot be looked at again, however long the receipt is read
             try {
-              await showReceipt(`The map ${name} is deleted`, await call("DELETE", path));
+              const receipt = await call("DELETE", path);
+              leave();
+              await showReceipt(`The map ${name} is deleted`, receipt);
               location.hash = "#maps";
             } catch (error) {
+              if (!left) stop = lookAgain(look, told);
               notice.replaceChildren(problemBox(error));
             }
           },
@@ -293,10 +303,6 @@ export function mapScreen(name) {
         element.replaceChildren(...mapHead(name), screenProblem(error));
       }
     },
-    leave: () => {
-      left = true;
-      stop();
-      jobs?.stop();
-    },
+    leave,
   };
 }
