@@ -226,11 +226,12 @@ class Connection:
                 if stream and answer.status_code >= 300:
                     answer.read()
             except httpx.TransportError as error:
-                trouble = Unreachable(self.url, reason(error))
+                answered, why = False, reason(error)
+                trouble = Unreachable(self.url, why)
                 # Where a connection is refused, nothing was sent. When it breaks, the service may have received the
                 # request already: then only requests with `repeat` are sent again.
                 refused = isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol)
-                again, wait, answered, why = self._there if refused else repeat, pause, False, reason(error)
+                again, wait = self._there if refused else repeat, pause
                 lost, self._there = lost or not refused, self._there or again
             except UnicodeEncodeError as error:
                 raise Unsendable(f"{error.object[:100]!r} is no Unicode, and cannot be sent") from None
