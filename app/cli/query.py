@@ -29,6 +29,9 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--top", type=integer, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=integer, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--precision", type=number, metavar="P", help="share of `matched` that must be right")
+    parser.add_argument(
+        "--zoom", type=number, metavar="Z", help="how many times as large the image's camera shows things as the map's"
+    )
     parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
     parser.add_argument(
         "--drive-timeout", type=number, metavar="S", help="seconds of silence after which the drive begins anew (60)"
@@ -53,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
             top=arguments.top,
             candidates=arguments.candidates,
             precision=arguments.precision,
+            zoom=arguments.zoom,
             explain=arguments.explain is not None,
             changes=arguments.changes is not None or None,
             drive=arguments.drive,

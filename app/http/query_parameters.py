@@ -37,6 +37,16 @@ class QueryParameters(FilterParameters):
         description="Share of answers with the status matched that must be right: the higher, the more often the "
         "status is ambiguous. Default: the map's, 0.97 unless it was changed.",
     )
+    zoom: float = Field(
+        1,
+        ge=0.25,
+        le=4,
+        description="How many times as large the image's camera shows things as that of the map: tan(b/2) / tan(a/2), "
+        "where a is its field of view along the image's longer side and b that of the map's. The image is compared as "
+        "the map's camera would have taken it, which positions in the answer refer to, and is kept neither as an "
+        "unknown place nor as a proposal.",
+        examples=[1.4],
+    )
     drive: DriveName | None = Field(
         None,
         description="Name of a drive that this image is the next one of: the evidence of its images adds up.",

@@ -15,5 +15,6 @@ about the service is a `ClientError`.
 from revisit_client import wire
 from revisit_client.client import Revisit
 from revisit_client.errors import ClientError, JobFailed, RevisitProblem, Unreachable, Unsendable
+from revisit_client.parameters import zoom_between
 
-__all__ = ["ClientError", "JobFailed", "Revisit", "RevisitProblem", "Unreachable", "Unsendable", "wire"]
+__all__ = ["ClientError", "JobFailed", "Revisit", "RevisitProblem", "Unreachable", "Unsendable", "wire", "zoom_between"]

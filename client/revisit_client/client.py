@@ -182,6 +182,7 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         top: int | None = None,
         candidates: int | None = None,
         precision: float | None = None,
+        zoom: float | None = None,
         explain: bool | None = None,
         changes: bool | None = None,
         drive: str | None = None,
@@ -213,6 +214,8 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
             Candidates of each channel to re-rank; 0 ranks by the histograms alone. None: the map's.
         precision : float or None
             Share of answers with the status matched that must be right, 0.5 to 0.999. None: the map's.
+        zoom : float or None
+            How many times as large the image's camera shows things as the map's, .25 to 4: see `zoom_between`. None: 1.
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
         changes : bool or None
@@ -246,6 +249,7 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
         options |= {
+            "zoom": zoom,
             "changes": changes,
             "maps": listed(maps),
             "drive": drive,

@@ -1,6 +1,7 @@
 """Converts arguments of the client's calls into parameters of HTTP requests."""
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
@@ -28,6 +29,26 @@ def named(image: Image) -> tuple[str | None, bytes]:
     if (size := path.stat().st_size) > LARGEST_FILE:
         raise Unsendable(f"{path} has {size / 1e9:.1f} GB, and no file of more than 1 GB is sent as an image")
     return readable(path.name), path.read_bytes()
+
+
+def zoom_between(field_of_view: float, of_map: float) -> float:
+    """How many times as large a camera shows things as the one that took a map's images: `zoom` of a query.
+
+    Parameters
+    ----------
+    field_of_view, of_map : float
+        Degrees that either camera sees along the longer side of its image, more than 0 and less than 180. From a camera
+        matrix, of an image that is wider than high: 2 atan(width / (2 fx)).
+
+    Raises
+    ------
+    ValueError
+    """
+    if not (0 < field_of_view < 180 and 0 < of_map < 180):
+        raise ValueError(
+            f"fields of view are {field_of_view:g} and {of_map:g} degrees; needed: more than 0, less than 180"
+        )
+    return math.tan(math.radians(of_map) / 2) / math.tan(math.radians(field_of_view) / 2)
 
 
 def readable(name: str) -> str:

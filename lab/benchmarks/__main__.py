@@ -23,6 +23,7 @@ BENCHMARKS = {
     "importing": "how fast recordings are imported, against the encoder's own rate",
     "living": "what filters, drives, recipe switches, snapshots and health cost in a large map",
     "placeless": "whether one wall, page or sky is taken for another",
+    "lenses": "queries by a camera with another field of view than the map's",
     "refreshing": "what accepting proposals gives, on three walks along one way",
     "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
     "fit_changes": "the confidence of changes fitted anew, on other drawn places",

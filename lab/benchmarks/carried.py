@@ -5,12 +5,12 @@ Copies of some sets are made in which all images, enrolled and queried, have a d
 """
 
 import argparse
-import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -27,11 +27,18 @@ from lab.evaluation.once import DescribeOnce
 from lab.evaluation.progress import progress_bar
 from lab.evaluation.service import map_of_its_own
 from scenes.carried import CARRIED
+from scenes.geometry import Pixels
 from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 from worker.runtime import Runtime
+from worker.service.query_options import QueryOptions
 
 QUALITY = 94
+
+HEADS = ("right first", "of these matched", "wrong matched", "unknown places matched")
+"""What a `Row` tells."""
+
+Draw = Callable[[Pixels], Pixels]
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,10 @@ class Row:
     wrong_matched: int
     unknown: int
     unknown_matched: int
+
+    def __str__(self) -> str:
+        right, unknown = f"{self.right} of {self.queries}", f"{self.unknown_matched} of {self.unknown}"
+        return f"{right} | {self.matched / max(self.right, 1):.2f} | {self.wrong_matched} | {unknown}"
 
     @classmethod
     def of(cls, decided: Iterable[Decided]) -> "Row":
@@ -62,33 +73,46 @@ class Row:
         )
 
 
-def carrying(dataset: Dataset, what: str, folder: Path) -> Dataset:
-    """The set with all its images redrawn into a folder."""
+def redrawn(paths: Sequence[Path], draw: Draw, folder: Path) -> tuple[Path, ...]:
+    """Images redrawn into a folder, each once."""
 
-    def redrawn(path: Path) -> Path:
+    def one(path: Path) -> Path:
         made = folder / path.parent.name / f"{path.stem}.jpg"
         if not made.exists():
             made.parent.mkdir(parents=True, exist_ok=True)
-            pixels = np.asarray(PilImage.open(path).convert("RGB"))
-            PilImage.fromarray(CARRIED[what](pixels)).save(made, quality=QUALITY)
+            with PilImage.open(path) as image:
+                PilImage.fromarray(draw(np.asarray(image.convert("RGB")))).save(made, quality=QUALITY)
         return made
 
+    return tuple(map(one, paths))
+
+
+def carrying(dataset: Dataset, folder: Path, what: str) -> Dataset:
+    """The set with something drawn into all its images."""
     if what == "nothing":
         return dataset
-    database, queries = (tuple(map(redrawn, paths)) for paths in (dataset.database, dataset.queries))
+    database, queries = (redrawn(paths, CARRIED[what], folder) for paths in (dataset.database, dataset.queries))
     return replace(dataset, database=database, queries=queries)
 
 
-def measure(sets: Sequence[Dataset], what: str, runtime: Runtime, folder: Path, every: int) -> Row:
-    """Decide about every so manieth query of the sets, with something in all images."""
+def measure(
+    sets: Sequence[Dataset],
+    shown: Callable[[Dataset, Path], Dataset],
+    runtime: Runtime,
+    every: int,
+    options: QueryOptions = QueryOptions(),
+) -> Row:
+    """Decide about every so manieth query of the sets, as `shown` redraws them into a folder."""
     recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
     decided: list[Decided] = []
-    for number, dataset in enumerate(map(with_attributes, sets)):
-        shown = carrying(dataset, what, folder / str(number))
-        for trial in (whole(shown), *halves(shown)[:1]):
-            some = replace(trial, queries=trial.queries[::every])
-            with progress_bar(dataset.name) as bar, map_of_its_own(runtime, recipe, "default", shown) as service:
-                decided += decide_all(some, service, progress=bar)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        for number, dataset in enumerate(map(with_attributes, sets)):
+            drawn = shown(dataset, Path(folder) / str(number))
+            for trial in (whole(drawn), *halves(drawn)[:1]):
+                some = replace(trial, queries=trial.queries[::every])
+                with progress_bar(dataset.name) as bar, map_of_its_own(runtime, recipe, "default", drawn) as service:
+                    service.options = options
+                    decided += decide_all(some, service, progress=bar)[0]
     return Row.of(decided)
 
 
@@ -102,23 +126,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=4, help="take every so manieth query")
     options = parser.parse_args(argv)
     sets = [one for one in pairs.read(options.root) if one.name.startswith(tuple(options.sets.split(",")))]
-    print("| in every image | right first | of these matched | wrong matched | unknown places matched |")
-    print("| --- | --- | --- | --- | --- |")
+    print(f"| in every image | {' | '.join(HEADS)} |\n| --- |{' --- |' * len(HEADS)}")
     with ExitStack() as stack:
         runtime = stack.enter_context(runtime_for_measuring(read_settings(), "cpu", make_scheduler=DescribeOnce))
         if options.whole:
             stack.enter_context(patch.object(type(runtime.catalogue), "camera_fixed", lambda *_: None))
         for what in options.what:
-            folder = Path(tempfile.mkdtemp())
-            try:
-                row = measure(sets, what, runtime, folder, options.every)
-            finally:
-                shutil.rmtree(folder)
-            print(
-                f"| {what} | {row.right} of {row.queries} | {row.matched / max(row.right, 1):.2f} | "
-                f"{row.wrong_matched} | {row.unknown_matched} of {row.unknown} |",
-                flush=True,
-            )
+            print(f"| {what} | {measure(sets, partial(carrying, what=what), runtime, options.every)} |", flush=True)
     return 0
 
 

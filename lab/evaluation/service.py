@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import count
@@ -40,12 +41,18 @@ class ServiceRetriever:
         In tables.
     map_name : str
         New.
+
+    Attributes
+    ----------
+    options : QueryOptions
+        What each query asks for, whose `top` is the call's.
     """
 
     def __init__(self, runtime: Runtime, recipe: MapRecipe, name: str, map_name: str) -> None:
         if runtime.loop is None:
             raise ValueError("a runtime without a worker describes nothing")
         self.runtime, self.map_recipe, self.name, self.map_name = runtime, recipe, name, map_name
+        self.options = QueryOptions()
         self._compared = False
         runtime.store.maps.put(map_name, recipe, datetime.now(UTC))
 
@@ -89,7 +96,8 @@ class ServiceRetriever:
         if not self._compared:
             self.runtime.comparer.all()
             self._compared = True
-        return self.runtime.services.query.query(image.read_bytes(), self.map_name, options=QueryOptions(top=top))
+        options = replace(self.options, top=top)
+        return self.runtime.services.query.query(image.read_bytes(), self.map_name, options=options)
 
 
 def evidence(result: QueryResult) -> dict[str, float]:

@@ -50,6 +50,13 @@ def test_several_maps_are_told_apart(service: FakeService, image: Path, capsys: 
         main(["query", str(image), "--maps", "a,b", "--map", "c"])
 
 
+def test_another_camera_is_told_to_the_service(service: FakeService, image: Path) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match())
+
+    assert main(["query", str(image), "--zoom", "1.4"]) == 0
+    assert b'name="zoom"\r\n\r\n1.4\r\n' in service.requests[0][1]
+
+
 def test_an_unknown_place_is_an_answer_too(service: FakeService, image: Path, capsys: Out) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(status="no_match")
 

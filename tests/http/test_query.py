@@ -28,6 +28,7 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "top": 5,
         "candidates": None,
         "precision": None,
+        "zoom": 1,
         "filters": Filters(),
         "explain": False,
         "drive": None,
@@ -157,7 +158,7 @@ def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedCli
     assert answer.json()["detail"] == (
         "journey: is unknown; known are after, before, candidates, changes, consistent, drive, drive_timeout, exclude, "
         "exclude_last, explain, frame, map, maps, "
-        "metadata.KEY, near, place, precision, top, where"
+        "metadata.KEY, near, place, precision, top, where, zoom"
     )
 
 

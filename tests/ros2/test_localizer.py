@@ -195,7 +195,7 @@ def field(body: str, name: str) -> str | None:
 @pytest.mark.parametrize("used", [True, False])
 def test_parameters_reach_the_service_and_a_guess_where_it_is_wanted(used: bool) -> None:
     service = Service()
-    given = {"map": "campus", "precision": 0.99, "drive": "robot-7", "exclude_last": "30s"}
+    given = {"map": "campus", "precision": 0.99, "zoom": 1.5, "drive": "robot-7", "exclude_last": "30s"}
     with driving(service, use_initial_guess=used, **given) as driven:
         driven.localizer.guess(Guess(3.5, -2.0, 25.0))
         driven.image("image-0")
@@ -210,7 +210,9 @@ def test_nothing_is_sent_that_was_not_set() -> None:
     with driving(service) as driven:
         driven.image("image-0")
         driven.answers()
-    assert [field(service.bodies[0], name) for name in ("precision", "drive", "exclude_last", "near")] == [None] * 4
+    assert [field(service.bodies[0], name) for name in ("precision", "zoom", "drive", "exclude_last", "near")] == [
+        None
+    ] * 5
 
 
 def test_times_and_counts_are_told() -> None:

@@ -33,6 +33,8 @@ def test_types_of_yaml_are_not_the_users_business() -> None:
         ("rate", True, "a number"),
         ("rate", "often", "a number"),
         ("precision", 0.3, "0.5 to 0.999"),
+        ("zoom", 0.2, "0.25 to 4"),
+        ("zoom", 4.5, "0.25 to 4"),
         ("precision", 1.0, "0 to 0.999"),
         ("timeout", 0, "at least 0.1"),
         ("image_transport", "theora", "compressed, raw"),

@@ -127,6 +127,23 @@ def test_a_sheet_says_what_agrees_and_why_the_rival_lost(runtime: Runtime, resul
     assert {1} <= set(np.unique(shown.speaks)) <= {-1, 0, 1}
 
 
+def test_a_query_by_another_camera_is_shown_as_it_was_compared(
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken, sheets = photo(scene("mill lane").seen_from(dx=0.3)), list[Sheet]()
+
+    def kept(sheet: Sheet) -> bytes:
+        sheets.append(sheet)
+        return b""
+
+    monkeypatch.setattr("worker.service.renderings.explanation_png", kept)
+    for zoom in (1.0, 0.8):
+        answer = runtime.services.query.query(taken, "town", options=QueryOptions(zoom=zoom, explain=True))
+        runtime.services.renderings.explanation(answer.id, None)
+    shown = [(each.query.title, each.query.pixels.shape[1]) for each in sheets]
+    assert shown == [("query", 640), ("query, as the map's camera would see it", 512)]
+
+
 def test_a_lower_match_is_compared_with_the_first(runtime: Runtime, result: QueryResult) -> None:
     of = explained(result)
     third, first = result.results.views[2], result.results.views[0]

@@ -167,7 +167,8 @@ class ChangeService:
         return f"{one.id}-{other.id}-{owner.description.id}-{named}-changes"
 
     def _query_photo(self, query_id: str) -> _Photo:
-        return _Photo(query_id, self._explanations.get(query_id).image, "now: query")
+        explained = self._explanations.get(query_id)
+        return _Photo(query_id, explained.photo or explained.image, "now: query")
 
     def _photo(self, view: ViewRecord, when: str = "then") -> _Photo:
         return _Photo(view.id, self._decode(self._views.image(view.id)), f"{when}: {name_of(view)}")

@@ -25,7 +25,7 @@ class Explained:
     Parameters
     ----------
     image : Image
-        The query image, shrunk; explanations are drawn at this size.
+        The query image as it was compared, shrunk; explanations are drawn at this size.
     description : Description
         Of the query image.
     views : tuple of ScoredView
@@ -39,6 +39,8 @@ class Explained:
         The view that the first match is compared with; it need not be among the results.
     maps : tuple of str
         Names of all maps that were searched for it; any of them may be shown. Needed of one that is kept.
+    photo : Image or None
+        The query image as it was sent, shrunk, where it was compared otherwise: changes are looked for in it.
     """
 
     image: Image
@@ -49,6 +51,7 @@ class Explained:
     headline: Headline
     rival: ScoredView | None = None
     maps: tuple[str, ...] = ()
+    photo: Image | None = None
 
     @classmethod
     def of(

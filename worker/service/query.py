@@ -16,6 +16,7 @@ from schemas.inbox import QueryToKeep
 from schemas.records import Filters
 from worker.description.describer import components
 from worker.description.scheduler import Timed
+from worker.images.framing import framed
 from worker.method.camera_fixed import left_out
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide, of_nothing
@@ -53,6 +54,8 @@ class QueryResult:
         Of the query.
     image : Image
         The decoded query image.
+    seen : Image
+        As it was compared: by its zoom, `worker.images.framing.framed`.
     names : tuple of str
         Of the maps, as they were given.
     found : tuple of SearchOutcome
@@ -75,6 +78,7 @@ class QueryResult:
 
     id: str
     image: Image
+    seen: Image
     names: tuple[str, ...]
     found: tuple[SearchOutcome, ...]
     joined: Joined
@@ -194,12 +198,12 @@ class QueryService:
         describers = {name: self._searcher.describer(name) for name in maps}
         wanted = self._filters(options.filters, maps)
         with self._room.decoded(data, caller) as decoded:
-            image = decoded.image
+            image, seen = decoded.image, framed(decoded.image, options.zoom)
             found, described = self._searcher.describe_and_search(
-                image, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
+                seen, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
             )
-        result = self._decided(image, maps, found, options)
-        if options.keep and options.of_whole_maps:
+        result = self._decided(image, seen, maps, found, options)
+        if options.keep and options.of_whole_maps and options.zoom == 1:
             self._keep(result, data)
         if options.explain:
             result = replace(result, differs=self._explain(result))
@@ -208,11 +212,11 @@ class QueryService:
         return replace(result, timing_ms={**timing_ms, "total": (time.perf_counter() - began) * 1000})
 
     def _decided(
-        self, image: Image, maps: tuple[str, ...], found: Sequence[SearchOutcome], options: QueryOptions
+        self, image: Image, seen: Image, maps: tuple[str, ...], found: Sequence[SearchOutcome], options: QueryOptions
     ) -> QueryResult:
         """The answer to a query, from what was found in the maps; a drive, if it is of one, counts the image."""
         decisions = [_decide(one.results, options) for one in found]
-        blank = [self._is_blank(image, left_out(one.description, one.results.query)) for one in found]
+        blank = [self._is_blank(seen, left_out(one.description, one.results.query)) for one in found]
         decisions = [of_nothing(one) if nothing else one for one, nothing in zip(decisions, blank, strict=True)]
         driven = None
         if options.drive is not None:
@@ -234,6 +238,7 @@ class QueryService:
         return QueryResult(
             id=str(uuid7()),
             image=image,
+            seen=seen,
             names=maps,
             found=tuple(found),
             joined=joined,
@@ -299,10 +304,12 @@ class QueryService:
     def _explain(self, result: QueryResult) -> tuple[Region, ...]:
         """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""
         rival = None if result.rival is None else result.rival[0]
-        small, results = self._shrink(result.image), result.results
+        small, results = self._shrink(result.seen), result.results
         explained = Explained.of(
             small, results.query, results, headline(result.decision), rival, result.names, result.top
         )
+        if result.seen is not result.image:
+            explained = replace(explained, photo=self._shrink(result.image))
         self._explanations.keep(result.id, explained)
         return self._differs(explained) if result.decision.reason.code == "look-alike" else ()
 

@@ -18,6 +18,9 @@ class QueryOptions:
         Number of views returned at most.
     candidates : int or None
         Candidates of each channel that are re-ranked; None takes the map's setting, 0 ranks by histograms alone.
+    zoom : float
+        How many times as large the image's camera shows things as those of the maps, as for
+        `worker.images.framing.framed`. Unless it is 1 `keep` counts for nothing: the image is no view of those maps.
     filters : Filters
         Applied to each map.
     precision : float or None
@@ -39,6 +42,7 @@ class QueryOptions:
 
     top: int = 5
     candidates: int | None = None
+    zoom: float = 1.0
     filters: Filters = field(default_factory=Filters)
     precision: float | None = None
     explain: bool = False

@@ -43,6 +43,9 @@ LONGEST = 48
 SHEET, GREY = 640, 214
 """Longer side in pixels and level of what is shown where an image is not kept."""
 
+FRAMED = "query, as the map's camera would see it"
+"""Title of a query that another camera took."""
+
 ANEW = "the cells of {} are not shown: it was described anew or deleted since"
 
 
@@ -113,7 +116,8 @@ def sheet(
         if ours is not None and theirs is not None:
             contrasted = cell_evidence.contrast(ours, theirs, explained.description.appearance.extent, components)
     looked = "tinted: agrees with the match" if ours is not None else ""
-    query = Photo(explained.image.pixels, "query", looked, None if ours is None else ours.of_query())
+    title = "query" if explained.photo is None else FRAMED
+    query = Photo(explained.image.pixels, title, looked, None if ours is None else ours.of_query())
     return Sheet(
         headline=explained.headline,
         query=query,

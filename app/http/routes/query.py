@@ -62,6 +62,7 @@ async def query(
     options = QueryOptions(
         top=params.top,
         candidates=params.candidates,
+        zoom=params.zoom,
         filters=params.filters(),
         precision=params.precision,
         explain=params.explain or params.changes,

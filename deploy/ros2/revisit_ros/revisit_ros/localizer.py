@@ -155,6 +155,7 @@ class Localizer:
             query.shot.read(),
             map=self._values["map"],
             precision=self._values["precision"] or None,
+            zoom=None if self._values["zoom"] == 1 else self._values["zoom"],
             drive=self._values["drive"] or None,
             exclude_last=self._values["exclude_last"] or None,
             near=None if guess is None else (guess.x, guess.y, guess.radius_m),

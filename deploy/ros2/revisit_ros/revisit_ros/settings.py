@@ -103,6 +103,13 @@ LOCALIZE = (
     Parameter("base_frame", "base_link", "frame whose pose is published; empty: the camera's"),
     Parameter("rate", 1.0, "queries a second at most; 0: only when triggered"),
     Parameter("precision", 0.0, "share of matched answers that must be right, 0.5 to 0.999; 0: the map's", most=0.999),
+    Parameter(
+        "zoom",
+        1.0,
+        "how many times as large the camera shows things as [the map's](verdicts.md#another-camera), .25 to 4",
+        least=0.25,
+        most=4.0,
+    ),
     Parameter("drive", "", "name of a [drive](drives.md), so that the evidence of images adds up; empty: none"),
     Parameter("exclude_last", "", "newest views to leave out, a number or `30s`, where the same run is being enrolled"),
     Parameter("use_initial_guess", False, "whether queries search near the last pose on the trigger's topic alone"),
