@@ -1,8 +1,8 @@
 """What is lost where the queries come from another camera: ``python -m lab.benchmarks.lenses --root DIR``.
 
 Of all queries the middle is left, as a camera with a narrower field of view takes them, or of all enrolled images, so
-that the queries are those of a wider one. Each is measured as `lab.decide` does: everything enrolled, and half of the
-places.
+that the queries are those of a wider one; or of both, so that queries may be turned without an edge being seen. Each is
+measured as `lab.decide` does: everything enrolled, and half of the places.
 """
 
 import argparse
@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
+import cv2
 import numpy as np
 
 from lab.benchmarks.carried import HEADS, measure, redrawn
@@ -26,7 +27,7 @@ from schemas.settings import read_settings
 from worker.images.framing import framed
 from worker.service.query_options import QueryOptions
 
-Camera = Literal["the map's", "narrower", "wider"]
+Camera = Literal["the map's", "narrower", "wider", "turned"]
 
 
 def middle(pixels: Pixels, zoom: float) -> Pixels:
@@ -34,10 +35,20 @@ def middle(pixels: Pixels, zoom: float) -> Pixels:
     return np.asarray(framed(Image.of(pixels), 1 / zoom).pixels)
 
 
-def taken(dataset: Dataset, folder: Path, camera: Camera, zoom: float) -> Dataset:
+def turned(pixels: Pixels, zoom: float, degrees: float) -> Pixels:
+    """What `middle` leaves of an image that was turned around its centre."""
+    height, width = pixels.shape[:2]
+    turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
+    return middle(np.asarray(cv2.warpAffine(pixels, turn, (width, height), borderMode=cv2.BORDER_REFLECT)), zoom)
+
+
+def taken(dataset: Dataset, folder: Path, camera: Camera, zoom: float, degrees: float = 0.0) -> Dataset:
     """The set with queries by another camera than the map's."""
     draw = partial(middle, zoom=zoom)
     match camera:
+        case "turned":
+            queries = redrawn(dataset.queries, partial(turned, zoom=zoom, degrees=degrees), folder / "turned")
+            return replace(dataset, database=redrawn(dataset.database, draw, folder), queries=queries)
         case "the map's":
             return dataset
         case "narrower":
@@ -55,11 +66,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--zoom", type=float, default=1.4, help="how many times as large the narrower camera shows things"
     )
+    parser.add_argument("--turned", type=float, default=0.0, metavar="DEGREES", help="by which the camera `turned` is")
     parser.add_argument("--told", type=float, nargs="+", default=[1.0], help="what each query says: its zoom")
     parser.add_argument("--every", type=int, default=4, help="take every so manieth query")
     options = parser.parse_args(argv)
     sets = [one for one in pairs.read(options.root) if one.name.startswith(tuple(options.sets.split(",")))]
-    shown = partial(taken, camera=options.camera, zoom=options.zoom)
+    shown = partial(taken, camera=options.camera, zoom=options.zoom, degrees=options.turned)
     print(f"| camera | zoom | told | {' | '.join(HEADS)} |\n| --- | --- | --- |{' --- |' * len(HEADS)}")
     with runtime_for_measuring(read_settings(), "cpu", make_scheduler=DescribeOnce) as runtime:
         for told in options.told:

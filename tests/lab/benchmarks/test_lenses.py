@@ -53,6 +53,15 @@ def test_the_narrower_cameras_images_are_the_middles(street: Path, tmp_path: Pat
     assert np.abs(whole[45:195, 60:260] - middle).mean() < 2
 
 
+def test_a_turned_camera_sees_as_much_as_the_maps(street: Path, tmp_path: Path) -> None:
+    [dataset] = pairs.read(street)
+    level, leaning = (taken(dataset, tmp_path / f"{by}", "turned", 1.25, by) for by in (0.0, 90.0))
+
+    assert {pixels(path).shape for path in (*level.database, *level.queries, *leaning.queries)} == {(192, 256, 3)}
+    one, other = (pixels(set_.queries[0]).astype(int)[:, 32:224] for set_ in (level, leaning))
+    assert np.abs(np.rot90(one) - other).mean() < 8
+
+
 def test_each_zoom_is_sent_and_has_a_row(
     street: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
