@@ -32,6 +32,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--zoom", type=number, metavar="Z", help="how many times as large the image's camera shows things as the map's"
     )
+    parser.add_argument("--roll", type=number, metavar="DEGREES", help="by which the camera was turned clockwise")
     parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
     parser.add_argument(
         "--drive-timeout", type=number, metavar="S", help="seconds of silence after which the drive begins anew (60)"
@@ -57,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
             candidates=arguments.candidates,
             precision=arguments.precision,
             zoom=arguments.zoom,
+            roll=arguments.roll,
             explain=arguments.explain is not None,
             changes=arguments.changes is not None or None,
             drive=arguments.drive,

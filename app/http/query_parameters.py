@@ -47,6 +47,14 @@ class QueryParameters(FilterParameters):
         "unknown place nor as a proposal.",
         examples=[1.4],
     )
+    roll: float = Field(
+        0,
+        ge=-180,
+        le=180,
+        description="Degrees by which the camera was turned clockwise around its line of sight, looking along it. The "
+        "image is compared as a level camera would have taken it; the rest as for `zoom`.",
+        examples=[-12.5],
+    )
     drive: DriveName | None = Field(
         None,
         description="Name of a drive that this image is the next one of: the evidence of its images adds up.",

@@ -183,6 +183,7 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         candidates: int | None = None,
         precision: float | None = None,
         zoom: float | None = None,
+        roll: float | None = None,
         explain: bool | None = None,
         changes: bool | None = None,
         drive: str | None = None,
@@ -216,6 +217,8 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
             Share of answers with the status matched that must be right, 0.5 to 0.999. None: the map's.
         zoom : float or None
             How many times as large the image's camera shows things as the map's, .25 to 4: see `zoom_between`. None: 1.
+        roll : float or None
+            Degrees by which the camera was turned clockwise around its line of sight. None: 0.
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
         changes : bool or None
@@ -250,6 +253,7 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
         options |= {
             "zoom": zoom,
+            "roll": roll,
             "changes": changes,
             "maps": listed(maps),
             "drive": drive,

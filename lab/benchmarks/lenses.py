@@ -67,7 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--zoom", type=float, default=1.4, help="how many times as large the narrower camera shows things"
     )
     parser.add_argument("--turned", type=float, default=0.0, metavar="DEGREES", help="by which the camera `turned` is")
-    parser.add_argument("--told", type=float, nargs="+", default=[1.0], help="what each query says: its zoom")
+    parser.add_argument("--told", type=float, nargs="+", default=[1.0], help="zooms that queries say, one by one")
+    parser.add_argument("--roll", type=float, default=0.0, help="by how many degrees queries say that it was turned")
     parser.add_argument("--every", type=int, default=4, help="take every so manieth query")
     options = parser.parse_args(argv)
     sets = [one for one in pairs.read(options.root) if one.name.startswith(tuple(options.sets.split(",")))]
@@ -75,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"| camera | zoom | told | {' | '.join(HEADS)} |\n| --- | --- | --- |{' --- |' * len(HEADS)}")
     with runtime_for_measuring(read_settings(), "cpu", make_scheduler=DescribeOnce) as runtime:
         for told in options.told:
-            row = measure(sets, shown, runtime, options.every, QueryOptions(zoom=told))
+            row = measure(sets, shown, runtime, options.every, QueryOptions(zoom=told, roll=options.roll))
             print(f"| {options.camera} | {options.zoom:g} | {told:g} | {row} |", flush=True)
     return 0
 

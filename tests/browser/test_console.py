@@ -109,6 +109,7 @@ def test_the_copied_calls_give_the_same_answer(opened: Open, query_photo: Path) 
     tab.page.get_by_text("Filters and more").click()
     tab.page.get_by_label("Matches at most").fill("2")
     tab.page.get_by_label("Zoom against the map's camera").fill("1.05")
+    tab.page.get_by_label("Turned clockwise, degrees").fill("-1.5")
     tab.page.get_by_label("Near x,y,radius").fill("0,0,70")
     ask(tab, query_photo)
     tab.page.get_by_text("The same from a program").click()
@@ -125,6 +126,7 @@ def test_the_copied_calls_give_the_same_answer(opened: Open, query_photo: Path) 
         "--form-string 'explain=true'",
         "--form-string 'top=2'",
         "--form-string 'zoom=1.05'",
+        "--form-string 'roll=-1.5'",
         "--form-string 'near=0,0,70'",
         f"{tab.url}/query",
     ]

@@ -53,8 +53,9 @@ def test_several_maps_are_told_apart(service: FakeService, image: Path, capsys: 
 def test_another_camera_is_told_to_the_service(service: FakeService, image: Path) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(answers.match())
 
-    assert main(["query", str(image), "--zoom", "1.4"]) == 0
+    assert main(["query", str(image), "--zoom", "1.4", "--roll", "-12.5"]) == 0
     assert b'name="zoom"\r\n\r\n1.4\r\n' in service.requests[0][1]
+    assert b'name="roll"\r\n\r\n-12.5\r\n' in service.requests[0][1]
 
 
 def test_an_unknown_place_is_an_answer_too(service: FakeService, image: Path, capsys: Out) -> None:

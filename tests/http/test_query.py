@@ -29,6 +29,7 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "candidates": None,
         "precision": None,
         "zoom": 1,
+        "roll": 0,
         "filters": Filters(),
         "explain": False,
         "drive": None,
@@ -158,7 +159,7 @@ def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedCli
     assert answer.json()["detail"] == (
         "journey: is unknown; known are after, before, candidates, changes, consistent, drive, drive_timeout, exclude, "
         "exclude_last, explain, frame, map, maps, "
-        "metadata.KEY, near, place, precision, top, where, zoom"
+        "metadata.KEY, near, place, precision, roll, top, where, zoom"
     )
 
 

@@ -22,7 +22,7 @@ def middle(pixels: Bytes2D, share: float) -> Bytes2D:
 
 def test_an_image_of_the_maps_own_camera_stays_what_it_is() -> None:
     image = image_of(40, 60)
-    assert framed(image, 1.0) is image
+    assert framed(image, 1.0, 0.0) is image
 
 
 @settings(max_examples=60, deadline=None)
@@ -52,6 +52,25 @@ def test_a_narrower_camera_sees_its_image_in_the_middle_at_its_size(zoom: float)
 
     assert seen.shape[:2] == (round(60 * zoom), round(90 * zoom))
     assert np.array_equal(middle(seen, 1 / zoom), image.pixels)
+
+
+@pytest.mark.parametrize("quarters", [-1, 1, 2])
+def test_a_camera_that_was_turned_is_set_upright(quarters: int) -> None:
+    upright = image_of(64, 64)
+    # Turned clockwise, a camera sees things turned the other way, as `rot90` turns them.
+    taken = Image.of(np.rot90(upright.pixels, quarters))
+    assert np.array_equal(framed(taken, roll=90.0 * quarters).pixels, upright.pixels)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-45, 45))
+def test_what_leans_comes_back_upright(roll: float) -> None:
+    pixels = scene("market street").sized(320, 240).pixels
+    back = framed(framed(Image.of(pixels), roll=-roll), roll=roll).pixels
+
+    assert back.shape == pixels.shape
+    before, after = (middle(each, 0.5).astype(int) for each in (pixels, back))
+    assert np.abs(before - after).mean() < 6
 
 
 def test_a_large_photo_is_shrunk() -> None:

@@ -9,10 +9,11 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
-from schemas.image import Bytes2D
+from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
+from worker.images.framing import framed
 from worker.runtime import build
 
 pytestmark = pytest.mark.one_database("it is about how a query is compared, not where views lie")
@@ -75,8 +76,8 @@ def test_what_another_camera_sees_is_kept_nowhere(client: CheckedClient) -> None
     enroll(client, "mill lane", photo(STREET))
     client.patch("/maps/default", json={"keep_queries": 10, "keep_matches": 10}).raise_for_status()
     elsewhere = scene("north corridor").pixels
-    for zoom in (0.8, 1.5):
-        assert query(client, elsewhere, zoom=zoom)["status"] == "no_match"
+    for other in ({"zoom": 0.8}, {"zoom": 1.5}, {"roll": 10}):
+        assert query(client, elsewhere, **other)["status"] == "no_match"
     assert client.get("/maps/default/unknown").json()["places"] == []
     assert query(client, elsewhere)["status"] == "no_match"
     assert len(client.get("/maps/default/unknown").json()["places"]) == 1
@@ -96,6 +97,26 @@ def test_it_is_explained_as_it_was_compared_and_changes_are_looked_for_in_the_ph
     assert answer["matches"][0]["view"]["place"] == "mill lane"
     # Around a narrower image nothing is missing, and nothing is new there.
     assert (answer["changes"]["status"], answer["changes"]["changes"]) == ("compared", [])
+
+
+def test_a_camera_that_leans_says_by_how_much(client: CheckedClient) -> None:
+    for name in ("mill lane", "market street", "rose garden"):
+        enroll(client, name, photo(scene(name)))
+    upright = Image.of(STREET.seen_from(dx=0.3).at("overcast").pixels)
+    leaning = framed(upright, 0.7, -30).pixels  # no edge of the image is in it
+    scores = [
+        query(client, leaning, **told)["matches"][0] for told in ({"zoom": 1 / 0.7}, {"zoom": 1 / 0.7, "roll": 30})
+    ]
+
+    assert scores[1]["view"]["place"] == "mill lane"
+    assert scores[1]["score"] > 1.2 * scores[0]["score"]
+
+
+@pytest.mark.parametrize("wrong", ["-181", "180.5", "nan", "level"])
+def test_a_roll_that_is_none_is_refused(client: CheckedClient, wrong: str) -> None:
+    refused = client.post("/query", content=photo(STREET), params={"roll": wrong}, headers=JPEG)
+    assert refused.status_code == 422
+    assert [error["parameter"] for error in refused.json()["errors"]] == ["roll"]
 
 
 @pytest.mark.parametrize("wrong", ["0", "0.2", "4.1", "-1", "nan", "inf", "wide"])

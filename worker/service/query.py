@@ -55,7 +55,7 @@ class QueryResult:
     image : Image
         The decoded query image.
     seen : Image
-        As it was compared: by its zoom, `worker.images.framing.framed`.
+        As it was compared: by its zoom and roll, `worker.images.framing.framed`.
     names : tuple of str
         Of the maps, as they were given.
     found : tuple of SearchOutcome
@@ -198,12 +198,12 @@ class QueryService:
         describers = {name: self._searcher.describer(name) for name in maps}
         wanted = self._filters(options.filters, maps)
         with self._room.decoded(data, caller) as decoded:
-            image, seen = decoded.image, framed(decoded.image, options.zoom)
+            image, seen = decoded.image, framed(decoded.image, options.zoom, options.roll)
             found, described = self._searcher.describe_and_search(
                 seen, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
             )
         result = self._decided(image, seen, maps, found, options)
-        if options.keep and options.of_whole_maps and options.zoom == 1:
+        if options.keeps:
             self._keep(result, data)
         if options.explain:
             result = replace(result, differs=self._explain(result))

@@ -19,8 +19,9 @@ class QueryOptions:
     candidates : int or None
         Candidates of each channel that are re-ranked; None takes the map's setting, 0 ranks by histograms alone.
     zoom : float
-        How many times as large the image's camera shows things as those of the maps, as for
-        `worker.images.framing.framed`. Unless it is 1 `keep` counts for nothing: the image is no view of those maps.
+        How many times as large the image's camera shows things as those of the maps.
+    roll : float
+        Degrees by which it was turned clockwise; both as for `worker.images.framing.framed`.
     filters : Filters
         Applied to each map.
     precision : float or None
@@ -37,12 +38,14 @@ class QueryOptions:
     call : str or None
         Names the call: repeated, it is the same image of the drive, which counts once.
     keep : bool
-        Whether the image may be kept among the maps' unknown places, or as a proposed view.
+        Whether the image may be kept among the maps' unknown places, or as a proposed view. By another camera it is
+        no view of the maps, and never kept.
     """
 
     top: int = 5
     candidates: int | None = None
     zoom: float = 1.0
+    roll: float = 0.0
     filters: Filters = field(default_factory=Filters)
     precision: float | None = None
     explain: bool = False
@@ -51,6 +54,11 @@ class QueryOptions:
     consistent: int | None = None
     call: str | None = None
     keep: bool = True
+
+    @property
+    def keeps(self) -> bool:
+        """Whether the image may be kept: it was taken as the maps' views were, and all of these are searched."""
+        return self.keep and self.of_whole_maps and self.zoom == 1 and self.roll == 0
 
     @property
     def of_whole_maps(self) -> bool:

@@ -59,6 +59,7 @@ export function queryScreen() {
   const inputs = {
     top: h("input", { type: "number", min: 1, max: 100, value: "5" }),
     zoom: h("input", { placeholder: "1", inputmode: "decimal", spellcheck: "false" }),
+    roll: h("input", { placeholder: "0", spellcheck: "false" }),
     place: h("input", { maxlength: 200 }),
     near: h("input", { placeholder: "12.5,3.0,20", spellcheck: "false" }),
     after: h("input", { placeholder: "2026-03-01T09:30:00Z", spellcheck: "false" }),
@@ -94,6 +95,7 @@ export function queryScreen() {
         { class: "fields" },
         field("Matches at most", inputs.top),
         field("Zoom against the map's camera", inputs.zoom),
+        field("Turned clockwise, degrees", inputs.roll),
         field("Only the place", inputs.place),
         field("Near x,y,radius", inputs.near),
         field("Near is in", frame),

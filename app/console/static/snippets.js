@@ -14,7 +14,7 @@ function curl(query, name) {
   return [...parts, `${location.origin}/query`].join(" \\\n  ");
 }
 
-const NUMBERS = ["top", "precision", "candidates", "zoom", "drive_timeout"];
+const NUMBERS = ["top", "precision", "candidates", "zoom", "roll", "drive_timeout"];
 
 function python(query, name) {
   const metadata = Object.create(null);

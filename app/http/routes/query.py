@@ -63,6 +63,7 @@ async def query(
         top=params.top,
         candidates=params.candidates,
         zoom=params.zoom,
+        roll=params.roll,
         filters=params.filters(),
         precision=params.precision,
         explain=params.explain or params.changes,
