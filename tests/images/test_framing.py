@@ -56,7 +56,7 @@ def test_a_narrower_camera_sees_its_image_in_the_middle_at_its_size(zoom: float)
 
 @pytest.mark.parametrize("quarters", [-1, 1, 2])
 def test_a_camera_that_was_turned_is_set_upright(quarters: int) -> None:
-    upright = image_of(64, 64)
+    upright = image_of(64, 96)
     # Turned clockwise, a camera sees things turned the other way, as `rot90` turns them.
     taken = Image.of(np.rot90(upright.pixels, quarters))
     assert np.array_equal(framed(taken, roll=90.0 * quarters).pixels, upright.pixels)

@@ -50,6 +50,8 @@ def _moved(pixels: Bytes2D, zoom: float, roll: float) -> Bytes2D:
     rows, columns = (max(1, round(side * scale)) for side in pixels.shape[:2])
     shown = cv2.resize(pixels, (columns, rows), interpolation=cv2.INTER_AREA)
     height, width = (max(1, round(side * scale * zoom)) for side in pixels.shape[:2])
+    if 45 < abs(roll) < 135:  # held on end
+        height, width = width, height
     motion = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -roll, 1.0)
     motion[:, 2] += (width - columns) // 2, (height - rows) // 2
     return np.asarray(cv2.warpAffine(shown, motion, (width, height), borderMode=cv2.BORDER_REFLECT), np.uint8)
