@@ -25,7 +25,8 @@ def framed(image: Image, zoom: float = 1.0, roll: float = 0.0) -> Image:
         1/`LARGEST`..`LARGEST`. Above 1 the image becomes the middle of a larger one of the same shape, below 1 its
         middle is left.
     roll : float
-        Degrees by which the camera was turned clockwise around its line of sight, looking along it; -180..180.
+        Degrees by which the camera was turned clockwise around its line of sight, looking along it; -180..180. From 45
+        to 135 either way it was held on end, and the sides are exchanged.
 
     Returns
     -------
