@@ -6,18 +6,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from scenes import scene
-from schemas.image import Bytes2D, Image
+from schemas.image import Image
+from tests.stories.photos import middle
 from worker.images.framing import LARGEST, LONGEST, framed
 
 
 def image_of(height: int, width: int) -> Image:
     return Image.of(np.random.default_rng(height * width).integers(0, 256, (height, width, 3), np.uint8))
-
-
-def middle(pixels: Bytes2D, share: float) -> Bytes2D:
-    height, width = (round(side * share) for side in pixels.shape[:2])
-    top, left = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
-    return pixels[top : top + height, left : left + width]
 
 
 def test_an_image_of_the_maps_own_camera_stays_what_it_is() -> None:

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from app.http.application import create_app
@@ -12,7 +11,7 @@ from scenes import scene
 from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
-from tests.stories.photos import jpeg, photo
+from tests.stories.photos import jpeg, middle, photo
 from worker.images.framing import framed
 from worker.runtime import build
 
@@ -27,13 +26,6 @@ STREET = scene("mill lane")
 def client(tmp_path: Path) -> Iterator[CheckedClient]:
     with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="compact", threads=1)))) as client:
         yield client
-
-
-def middle(pixels: Bytes2D, share: float) -> Bytes2D:
-    """What a camera sees of an image whose field of view is narrower."""
-    height, width = (round(side * share) for side in pixels.shape[:2])
-    top, left = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
-    return np.ascontiguousarray(pixels[top : top + height, left : left + width])
 
 
 def query(client: CheckedClient, pixels: Bytes2D, **parameters: Any) -> dict[str, Any]:

@@ -203,7 +203,7 @@ class QueryService:
                 seen, wanted, describers, top=max(options.top, GROUPED), candidates=options.candidates, caller=caller
             )
         result = self._decided(image, seen, maps, found, options)
-        if options.keeps:
+        if options.keep and options.of_whole_maps and seen is image:
             self._keep(result, data)
         if options.explain:
             result = replace(result, differs=self._explain(result))

@@ -56,11 +56,6 @@ class QueryOptions:
     keep: bool = True
 
     @property
-    def keeps(self) -> bool:
-        """Whether the image may be kept: it was taken as the maps' views were, and all of these are searched."""
-        return self.keep and self.of_whole_maps and self.zoom == 1 and self.roll == 0
-
-    @property
     def of_whole_maps(self) -> bool:
         """Whether all views are searched and compared as the map says: "not here" is then said of the map."""
         return self.filters == Filters() and self.candidates != 0
