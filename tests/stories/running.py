@@ -47,8 +47,13 @@ def _tables(data: Path) -> str | None:
 
 
 def variables(data: Path, environment: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
-    """Variables of a process that needs no weights, with one decoder; `environment` goes before them."""
+    """Variables of a process that needs no weights, with one decoder; `environment` goes before them.
+
+    It compares no views in the background: a small map is compared anew with each further view, which takes more time
+    than all else that happens to it here. A story that is about it, or about all that a service writes, says so.
+    """
     ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1", "REVISIT_DECODERS": "1"}
+    ours["REVISIT_COMPARE"] = "false"
     if "REVISIT_DATABASE" not in environment and (database := _tables(data)) is not None:
         ours["REVISIT_DATABASE"] = database
     clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}

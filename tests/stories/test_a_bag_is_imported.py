@@ -27,7 +27,7 @@ MCAP = {"content-type": "application/x-mcap"}
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
-    with RunningService(tmp_path_factory.mktemp("bags"), REVISIT_COMPARE="false") as one:
+    with RunningService(tmp_path_factory.mktemp("bags")) as one:
         yield one
 
 

@@ -89,7 +89,7 @@ def test_the_standby_takes_over_while_callers_write(tmp_path: Path) -> None:
     ledger = Ledger()
     with (
         pair() as (primary, standby, url),
-        RunningService(tmp_path, REVISIT_DATABASE=url, REVISIT_COMPARE="false") as service,
+        RunningService(tmp_path, REVISIT_DATABASE=url) as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
         stopped = threading.Event()

@@ -35,7 +35,7 @@ def there(objects: ObjectStore) -> Iterator[dict[str, str]]:
     """Variables of every process of the fleet."""
     with postgres_schema() as url:
         yield {
-            "REVISIT_DATABASE": url, "REVISIT_LEASE_S": "2", "REVISIT_COMPARE": "false", **objects.environment
+            "REVISIT_DATABASE": url, "REVISIT_LEASE_S": "2", **objects.environment
         }  # fmt: skip
 
 

@@ -60,7 +60,7 @@ def test_what_one_service_acknowledges_the_database_finds_for_the_other(tmp_path
 def test_a_recipe_is_tried_in_the_shadow_by_one_service_and_both_change_over(tmp_path: Path) -> None:
     """The one that keeps vectors in memory describes and compares; the other is told to change over."""
     with postgres_schema() as url:
-        there = {"REVISIT_DATABASE": url, "REVISIT_COMPARE": "false"}
+        there = {"REVISIT_DATABASE": url}
         with (
             RunningService(tmp_path / "one", **there) as memory,
             RunningService(

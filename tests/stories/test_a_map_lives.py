@@ -47,7 +47,7 @@ def recording() -> bytes:
     rows = ["filename;place_name;easting;northing;timestamp;floor"]
     rows += [f"{n:02}.jpg;{stop(n)};{10 * n},5;0,25;2026-03-01T09:{n:02}:00Z;{1 + n % 2}" for n in range(STOPS)]
     rows += [f"aside/{n:03}.jpg;bed {n};;;;" for n in range(GARDEN)]
-    images: dict[str, bytes | str] = {f"aside/{n:03}.jpg": photo(f"bed {n}", tile=8) for n in range(GARDEN)}
+    images: dict[str, bytes | str] = {f"aside/{n:03}.jpg": photo(f"bed {n}", tile=4) for n in range(GARDEN)}
     images |= {f"walk/{n:02}.jpg": photo(stop(n)) for n in range(STOPS)}
     return zipped({**images, "manifest.csv": "\n".join(rows)})
 
@@ -56,8 +56,7 @@ class Life:
     """A service that can be killed at any time, and what its user remembers."""
 
     def __init__(self, data: Path, **environment: str) -> None:
-        # What views found in the map is another story: it comes in the background, whenever there is time.
-        self._data, self._environment = data, {"REVISIT_COMPARE": "false", **environment}
+        self._data, self._environment = data, environment
         self.job = ""
         self.answers: dict[str, Any] = {}
         self.recipe = ""

@@ -98,7 +98,7 @@ def test_a_kill_between_description_and_removal_leaves_nothing_after_the_next_st
     with RunningService(tmp_path) as service, httpx.Client(base_url=service.url, timeout=60) as one:
         one.put("/maps/home", json={})
         one.patch("/maps/home", json={"keep_images": False})
-        images = [("image", (f"{n}.jpg", photo(scene(f"room {n}").seen_from()), "image/jpeg")) for n in range(12)]
+        images = [("image", (f"{n}.jpg", photo(scene(f"room {n}").seen_from()), "image/jpeg")) for n in range(4)]
         one.post("/enroll?map=home&wait=false", files=images)
         service.signal(signal.SIGKILL)
     with RunningService(tmp_path) as service, httpx.Client(base_url=service.url, timeout=60) as one:

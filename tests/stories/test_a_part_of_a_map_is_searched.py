@@ -17,7 +17,7 @@ NEW = {"metadata.run": {"$gte": 3}}
 
 @pytest.fixture
 def client(tmp_path: Path) -> Any:
-    with RunningService(tmp_path, REVISIT_COMPARE="false") as one, httpx.Client(base_url=one.url, timeout=60) as client:
+    with RunningService(tmp_path) as one, httpx.Client(base_url=one.url, timeout=60) as client:
         for number in range(6):
             known = {"place": f"floor{1 + number % 2}/door{number}", "metadata": json.dumps({"run": number})}
             assert client.post("/enroll", params=known, content=photo(number), headers=JPEG).status_code == 201

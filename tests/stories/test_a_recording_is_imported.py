@@ -22,7 +22,7 @@ from tests.waiting import until
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
-    with RunningService(tmp_path_factory.mktemp("imports"), REVISIT_COMPARE="false", REVISIT_MAX_IMPORT_MB="2") as one:
+    with RunningService(tmp_path_factory.mktemp("imports"), REVISIT_MAX_IMPORT_MB="2") as one:
         yield one
 
 
@@ -99,9 +99,9 @@ def test_the_same_recording_again_adds_nothing(client: httpx.Client) -> None:
 
 
 def test_a_recording_that_is_sent_again_while_it_is_imported_is_there_already(client: httpx.Client) -> None:
-    begun = [client.post("/maps/both/imports", content=zipped(photos(40)), headers=ZIP).json() for _ in range(2)]
+    begun = [client.post("/maps/both/imports", content=zipped(photos(12)), headers=ZIP).json() for _ in range(2)]
     reports = [ended(client, job["id"])["result"] for job in begun]
-    assert [(report["enrolled"], report["already_there"]) for report in reports] == [(40, 0), (0, 40)]
+    assert [(report["enrolled"], report["already_there"]) for report in reports] == [(12, 0), (0, 12)]
 
 
 def test_other_attributes_for_an_image_that_is_there_are_an_error(client: httpx.Client) -> None:
@@ -200,7 +200,7 @@ def jobs_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:
 
 
 def test_an_import_is_followed_while_it_runs(client: httpx.Client) -> None:
-    job_id = client.post("/maps/followed/imports", content=zipped(photos(150, 96)), headers=ZIP).json()["id"]
+    job_id = client.post("/maps/followed/imports", content=zipped(photos(60)), headers=ZIP).json()["id"]
 
     with client.stream("GET", f"/jobs/{job_id}/events") as answer:
         seen = list(jobs_of(answer))
@@ -208,12 +208,12 @@ def test_an_import_is_followed_while_it_runs(client: httpx.Client) -> None:
     done = [job["progress"]["done"] for job in seen if job["progress"]]
     assert done == sorted(done)
     assert len(set(done)) > 1, "it was followed only when it was over"
-    assert (seen[-1]["state"], done[-1]) == ("done", 150)
+    assert (seen[-1]["state"], done[-1]) == ("done", 60)
 
 
 def test_events_end_with_the_service(tmp_path: Path) -> None:
     with (
-        RunningService(tmp_path, REVISIT_COMPARE="false") as service,
+        RunningService(tmp_path) as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
         job_id = client.post("/maps/long/imports", content=zipped(photos(300, 96)), headers=ZIP).json()["id"]
@@ -238,8 +238,8 @@ def test_a_deleted_map_takes_its_import_along(client: httpx.Client, service: Run
 
 
 def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) -> None:
-    data, environment = tmp_path / "data", {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
-    dark: dict[str, bytes | str] = {f"walk/{i:04}.jpg": encoded(drawn(96, 96, i) // 16) for i in range(100)}
+    data, environment = tmp_path / "data", {"REVISIT_LEASE_S": "1"}
+    dark: dict[str, bytes | str] = {f"walk/{i:04}.jpg": encoded(drawn(96, 96, i) // 16) for i in range(60)}
     job_id, killed = None, False
     while True:
         with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
@@ -247,27 +247,27 @@ def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) 
                 answer = client.post("/maps/walk/imports", content=zipped(dark), headers=ZIP)
                 job_id = answer.json()["id"]
             before = client.get("/maps/walk").json()["views"]["ready"]
-            while not killed and (now := client.get("/maps/walk").json()["views"]["ready"]) < min(before + 10, 100):
+            while not killed and (now := client.get("/maps/walk").json()["views"]["ready"]) < min(before + 10, 60):
                 time.sleep(0.01)
             if not killed:
                 killed = True
-                assert now < 100, "it was over before the kill"
+                assert now < 60, "it was over before the kill"
                 service.kill()
                 continue
             job = ended(client, job_id)
-            assert (job["state"], job["progress"]) == ("done", {"done": 100, "total": 100})
+            assert (job["state"], job["progress"]) == ("done", {"done": 60, "total": 60})
             report = job["result"]
-            assert (report["enrolled"], report["already_there"], report["errors"]) == (100, 0, [])
-            assert report["poor"] == 100
-            assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 100, "failed": 0}
+            assert (report["enrolled"], report["already_there"], report["errors"]) == (60, 0, [])
+            assert report["poor"] == 60
+            assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 60, "failed": 0}
             assert is_emptied(data / "imports")
             return
 
 
 def test_a_photo_that_is_deleted_meanwhile_does_not_come_back_after_a_kill(tmp_path: Path) -> None:
-    data, environment = tmp_path / "data", {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
+    data, environment = tmp_path / "data", {"REVISIT_LEASE_S": "1"}
     with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
-        job_id = client.post("/maps/walk/imports", content=zipped(photos(100, 96)), headers=ZIP).json()["id"]
+        job_id = client.post("/maps/walk/imports", content=zipped(photos(60, 96)), headers=ZIP).json()["id"]
         while not (views := client.get("/views?map=walk&state=ready").json()["views"]):
             time.sleep(0.01)
         assert client.delete(f"/views/{views[0]['id']}").json()["views"] == 1
@@ -276,11 +276,11 @@ def test_a_photo_that_is_deleted_meanwhile_does_not_come_back_after_a_kill(tmp_p
 
     with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
         report = ended(client, job_id)["result"]
-        assert (report["enrolled"], report["already_there"], report["failed"]) == (99, 0, 1)
+        assert (report["enrolled"], report["already_there"], report["failed"]) == (59, 0, 1)
         [error] = report["errors"]
         assert (error["file"].rpartition("/")[2], error["problem"]) == (views[0]["filename"], "not-found")
         names = [view["filename"] for view in client.get("/views?map=walk&limit=100").json()["views"]]
-        assert len(names) == 99
+        assert len(names) == 59
         assert views[0]["filename"] not in names
 
 

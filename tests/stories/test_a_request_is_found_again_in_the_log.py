@@ -24,7 +24,7 @@ def lines(service: RunningService) -> list[dict[str, Any]]:
 
 
 def test_every_line_of_a_failing_request_has_the_id_of_its_problem(tmp_path: Path) -> None:
-    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_COMPARE="false") as service:
+    with RunningService(tmp_path, REVISIT_LOG="json") as service:
         httpx.post(f"{service.url}/enroll", content=photo(), headers=JPEG, timeout=60).raise_for_status()
         database = sqlite3.connect(tmp_path / "revisit.db")
         database.execute("DROP TABLE metadata_pairs")
@@ -72,7 +72,7 @@ def test_what_a_photo_says_of_who_took_it_is_in_no_line_however_much_is_logged(t
 
 
 def test_a_statement_that_fails_is_logged_without_what_was_sent(tmp_path: Path) -> None:
-    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_COMPARE="false") as service:
+    with RunningService(tmp_path, REVISIT_LOG="json") as service:
         database = sqlite3.connect(tmp_path / "revisit.db")
         database.execute("CREATE TRIGGER fails BEFORE INSERT ON views BEGIN SELECT RAISE(ABORT, 'for no reason'); END")
         database.commit()

@@ -28,7 +28,7 @@ MP4 = {"content-type": "video/mp4"}
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
-    with RunningService(tmp_path_factory.mktemp("videos"), REVISIT_COMPARE="false") as one:
+    with RunningService(tmp_path_factory.mktemp("videos")) as one:
         yield one
 
 
@@ -123,7 +123,7 @@ def test_a_file_that_only_begins_like_a_video_is_refused(client: httpx.Client, s
 
 def test_a_kill_in_the_middle_of_a_video_loses_nothing_and_doubles_nothing(tmp_path: Path) -> None:
     body = video(tmp_path / "a.avi", frames(60, 128), 1)
-    environment = {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
+    environment = {"REVISIT_LEASE_S": "1"}
     with (
         RunningService(tmp_path / "data", **environment) as service,
         httpx.Client(base_url=service.url, timeout=60) as client,
@@ -190,7 +190,7 @@ def test_videos_are_imported_in_a_data_folder_whose_name_is_not_utf8(tmp_path: P
     data = tmp_path / os.fsdecode(b"caf\xe9")
     data.mkdir()
     body = video(tmp_path / "a.avi", frames(4, 256), 1)
-    with RunningService(data, REVISIT_COMPARE="false") as one, httpx.Client(base_url=one.url, timeout=60) as client:
+    with RunningService(data) as one, httpx.Client(base_url=one.url, timeout=60) as client:
         result = sent(client, "walk", body, {"content-type": "application/octet-stream"})
         doctor = [sys.executable, "-m", "app.cli", "doctor", "--data", str(data), "--url", one.url]
         told = subprocess.run(doctor, cwd=ROOT, capture_output=True, check=False, text=True)

@@ -18,7 +18,7 @@ from tests.waiting import until
 
 pytestmark = pytest.mark.one_database("what a worker leaves lies in the data folder")
 
-BRIEF = {"REVISIT_LEASE_S": "1", "REVISIT_COMPARE": "false"}
+BRIEF = {"REVISIT_LEASE_S": "1"}
 IMAGES = 80
 PATIENCE_S = 5.0
 """After which a worker that stands still is taken for one that keeps others from writing: that is another story."""

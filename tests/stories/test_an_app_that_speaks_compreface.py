@@ -49,7 +49,7 @@ class App:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
-    with RunningService(tmp_path_factory.mktemp("towns"), REVISIT_COMPARE="false") as one:
+    with RunningService(tmp_path_factory.mktemp("towns")) as one:
         yield one
 
 

@@ -22,7 +22,7 @@ PLACES = ("mill lane", "station road", "rose garden", "market street", "old harb
 def client(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[httpx.Client]:
     data = tmp_path_factory.mktemp("resembling")
     with (
-        RunningService(data, REVISIT_ENCODER="compact", REVISIT_COMPARE="false") as service,
+        RunningService(data, REVISIT_ENCODER="compact") as service,
         httpx.Client(base_url=service.url, timeout=60) as one,
     ):
         for name in PLACES:

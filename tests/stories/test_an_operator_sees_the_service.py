@@ -15,7 +15,7 @@ def test_what_is_enrolled_and_what_waits_is_seen(tmp_path: Path) -> None:
     with RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service:
         httpx.post(f"{service.url}/enroll?map=m&wait=false", content=photo(), headers=JPEG, timeout=60)
         waiting = samples(httpx.get(f"{service.url}/metrics", timeout=60).text)
-    with RunningService(tmp_path, REVISIT_COMPARE="false") as service:
+    with RunningService(tmp_path) as service:
         httpx.post(f"{service.url}/enroll?map=m", content=photo(), headers=JPEG, timeout=60)  # waits for the first call
         httpx.post(f"{service.url}/query?map=m", content=photo(), headers=JPEG, timeout=60)
         described = samples(httpx.get(f"{service.url}/metrics", timeout=60).text)

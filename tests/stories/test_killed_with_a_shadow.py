@@ -28,15 +28,15 @@ def answer(service: RunningService, place: str) -> dict[str, Any]:
 
 def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path, database: str) -> None:
     """On PostgreSQL, which also searches the map."""
-    quiet = {"REVISIT_COMPARE": "false", "REVISIT_INDEX": "pgvector" if database == "postgresql" else "faiss"}
-    with RunningService(tmp_path, True, **quiet) as service, Revisit(service.url) as revisit:
+    searched = {"REVISIT_INDEX": "pgvector" if database == "postgresql" else "faiss"}
+    with RunningService(tmp_path, True, **searched) as service, Revisit(service.url) as revisit:
         for place in PLACES:
             revisit.enroll(jpeg(scene(place).pixels), place=place)
         before = [answer(service, place) for place in PLACES]
         job = revisit.switch_recipe("default", labels=LABELS, dynamic=[], shadow=20)
         service.kill()
 
-    with RunningService(tmp_path, True, **quiet) as service, Revisit(service.url) as revisit:
+    with RunningService(tmp_path, True, **searched) as service, Revisit(service.url) as revisit:
         assert revisit.wait_for_job(job.id, timeout=60).kind == "shadow"
         assert [answer(service, place) for place in PLACES] == before
         shadow = revisit.shadow("default")
@@ -52,7 +52,7 @@ def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path
         with pytest.raises(NotFound):
             store.jobs.shadow("default")
 
-    with RunningService(tmp_path, True, **quiet) as service:
+    with RunningService(tmp_path, True, **searched) as service:
         answers = [answer(service, place) for place in PLACES]
     assert {told["recipe"] for told in answers} == {shadow.recipe["id"]}
     assert [told["matches"][0]["view"]["place"] for told in answers] == list(PLACES)

@@ -36,7 +36,7 @@ def sharp(seed: int) -> bytes:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
-    with RunningService(tmp_path_factory.mktemp("poor"), REVISIT_COMPARE="false") as one:
+    with RunningService(tmp_path_factory.mktemp("poor")) as one:
         yield one
 
 

@@ -20,7 +20,10 @@ BOTH = "floor1,floor2"
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Any:
     data = tmp_path_factory.mktemp("house")
-    with RunningService(data, REVISIT_ENCODER="compact") as one, httpx.Client(base_url=one.url, timeout=60) as client:
+    with (
+        RunningService(data, REVISIT_ENCODER="compact", REVISIT_COMPARE="true") as one,
+        httpx.Client(base_url=one.url, timeout=60) as client,
+    ):
         for floor, spot, image in HOUSE.enrolments():
             known = {"map": f"floor{floor}", "place": f"spot {spot}", "x": str(spot * 20), "y": "0"}
             assert client.post("/enroll", params=known, content=jpeg(image), headers=JPEG).status_code == 201

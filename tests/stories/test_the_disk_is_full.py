@@ -26,7 +26,12 @@ pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
 JPEG = {"content-type": "image/jpeg"}
 ANSWER_S = 10
 DISK_MB, RESERVE_MB = 16, 4
-SETTINGS = {"REVISIT_RESERVE_MB": str(RESERVE_MB), "REVISIT_WAIT": "5", "REVISIT_LEASE_S": "2"}
+SETTINGS = {
+    "REVISIT_RESERVE_MB": str(RESERVE_MB),
+    "REVISIT_WAIT": "5",
+    "REVISIT_LEASE_S": "2",
+    "REVISIT_COMPARE": "true",
+}
 
 
 def image(number: int) -> bytes:

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
 JPEG = {"content-type": "image/jpeg"}
 WAIT_S = 5
 ANSWER_S = WAIT_S + 5
-SETTINGS = {"REVISIT_RESERVE_MB": "4", "REVISIT_WAIT": str(WAIT_S), "REVISIT_LEASE_S": "2"}
+SETTINGS = {"REVISIT_RESERVE_MB": "4", "REVISIT_WAIT": str(WAIT_S), "REVISIT_LEASE_S": "2", "REVISIT_COMPARE": "true"}
 KEPT = range(6)
 
 
