@@ -29,6 +29,9 @@ FARTHEST_M = 1e9
 LEAST_STEP = 0.01
 """Seconds or metres from one image of an import to the next."""
 
+LARGEST_ZOOM = 4.0
+"""Zooms of queries are from the inverse of this to this: beyond it hardly anything is left to compare."""
+
 LONGEST_FILE_NAME = 255
 _LONGEST_ENDING = 10
 _BLANK = frozenset("\u115f\u1160\u2800\u3164\uffa0")  # letters and symbols that show nothing

@@ -39,8 +39,8 @@ class QueryParameters(FilterParameters):
     )
     zoom: float = Field(
         1,
-        ge=0.25,
-        le=4,
+        ge=1 / values.LARGEST_ZOOM,
+        le=values.LARGEST_ZOOM,
         description="How many times as large the image's camera shows things as that of the map: tan(b/2) / tan(a/2), "
         "where a is its field of view along the image's longer side and b that of the map's. The image is compared as "
         "the map's camera would have taken it, which positions in the answer refer to, and is kept neither as an "

@@ -7,8 +7,9 @@ from hypothesis import given, settings, strategies as st
 
 from scenes import scene
 from schemas.image import Image
+from schemas.values import LARGEST_ZOOM
 from tests.stories.photos import middle
-from worker.images.framing import LARGEST, LONGEST, framed
+from worker.images.framing import LONGEST, framed
 
 
 def image_of(height: int, width: int) -> Image:
@@ -21,7 +22,7 @@ def test_an_image_of_the_maps_own_camera_stays_what_it_is() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(32, 1500), st.integers(32, 1500), st.floats(1 / LARGEST, LARGEST))
+@given(st.integers(32, 1500), st.integers(32, 1500), st.floats(1 / LARGEST_ZOOM, LARGEST_ZOOM))
 def test_the_shape_stays_and_what_is_compared_is_not_large(height: int, width: int, zoom: float) -> None:
     image = image_of(height, width)
     seen = framed(image, zoom)
@@ -40,7 +41,7 @@ def test_a_wider_camera_is_left_with_its_middle() -> None:
     assert np.array_equal(framed(image, 0.5).pixels, image.pixels[30:90, 40:120])
 
 
-@pytest.mark.parametrize("zoom", [1.4, 2.0, LARGEST])
+@pytest.mark.parametrize("zoom", [1.4, 2.0, LARGEST_ZOOM])
 def test_a_narrower_camera_sees_its_image_in_the_middle_at_its_size(zoom: float) -> None:
     image = image_of(60, 90)
     seen = framed(image, zoom).pixels

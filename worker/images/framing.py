@@ -8,9 +8,6 @@ import numpy as np
 
 from schemas.image import Bytes2D, Image
 
-LARGEST = 4.0
-"""Zooms are from the inverse of this to this: beyond it hardly anything is left to compare."""
-
 LONGEST = 1280
 """Pixels of the longer side of a framed image at most: no part of the method looks at more."""
 
@@ -22,8 +19,8 @@ def framed(image: Image, zoom: float = 1.0, roll: float = 0.0) -> Image:
     ----------
     image : Image
     zoom : float
-        1/`LARGEST`..`LARGEST`. Above 1 the image becomes the middle of a larger one of the same shape, below 1 its
-        middle is left.
+        1/`values.LARGEST_ZOOM`..`values.LARGEST_ZOOM`. Above 1 the image becomes the middle of a larger one of the same
+        shape, below 1 its middle is left.
     roll : float
         Degrees by which the camera was turned clockwise around its line of sight, looking along it; -180..180. From 45
         to 135 either way it was held on end, and the sides are exchanged.
