@@ -34,9 +34,12 @@ def exact(pytestconfig: pytest.Config) -> bool:
     return bool(pytestconfig.getoption("golden_exact"))
 
 
-@pytest.fixture(scope="session")
-def tolerance(gallery: Gallery, golden: Golden, exact: bool) -> Tolerance:
-    """Tolerance of answers: where descriptions equal the recorded ones, only the ranking can make answers differ."""
+@pytest.fixture(scope="module")
+def tolerance(gallery: Gallery, golden: Golden, exact: bool, _small_images_too: None) -> Tolerance:
+    """Tolerance of answers: where descriptions equal the recorded ones, only the ranking can make answers differ.
+
+    It makes maps, which a session's fixture would do before `_small_images_too`.
+    """
     if exact:
         return EXACT
     described = {name: gallery.described(*of) for name, of in DESCRIBED.items()}
