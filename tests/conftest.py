@@ -13,8 +13,9 @@ import httpx
 import pytest
 from hypothesis import settings
 
-from tests import NUMPY_SPLITS_SUMS, drawn_once
+from tests import NUMPY_SPLITS_SUMS, once
 from tests.compiled_once import compile_once
+from tests.drawn_once import draw_once
 from tests.small_images import enlarge_less
 
 # A busy machine is slow, not wrong.
@@ -76,7 +77,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Refuse to compare bits that depend on the number of cores; spare what would be done thousands of times.
 
     Each client of httpx would read the certificates for HTTPS anew, for 30 ms. Of small images: `enlarge_less`; of
-    scenes: `drawn_once`.
+    scenes: `draw_once`.
     """
 
     gc.disable()
@@ -91,9 +92,9 @@ def pytest_configure(config: pytest.Config) -> None:
     pytest.MonkeyPatch().setattr("httpx._transports.default.create_ssl_context", context)
     enlarge_less()
     if not hasattr(config, "workerinput"):  # of pytest-xdist: in its processes alone
-        drawn_once.make_folder()
-        config.add_cleanup(drawn_once.remove_folder)
-    drawn_once.draw_once()
+        once.make_folder()
+        config.add_cleanup(once.remove_folder)
+    draw_once()
     compile_once()
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
         raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from tests.described_once import describe_once
 from tests.storage.databases import DATABASES, postgres_tables
 from tests.stories import running
+from worker.encoders.compact import onnx
 
 SQLITE, POSTGRESQL = DATABASES
 
@@ -17,6 +20,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     marks = [*metafunc.definition.iter_markers("one_database")]
     assert all(mark.args and str(mark.args[0]).strip() for mark in marks), f"{metafunc.definition.nodeid}: say why"
     metafunc.parametrize("database", (SQLITE,) if marks else DATABASES, indirect=True, scope="module")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _the_same_once() -> Iterator[None]:
+    """Stories enrol the same images again and again, by services that would each load the same graphs."""
+    with pytest.MonkeyPatch.context() as patch:
+        describe_once(patch.setattr)
+        patch.setattr(onnx, "open_session", cache(onnx.open_session))
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -47,6 +47,12 @@ def ready(client: httpx.Client, name: str) -> int:
     return int(answer.json()["views"]["ready"]) if answer.status_code == 200 else 0
 
 
+def further(client: httpx.Client, job: str, than: int) -> int | None:
+    """How far the import got; None while that is no further than it was."""
+    done = int((client.get(f"/jobs/{job}").json()["progress"] or {"done": 0})["done"])
+    return done if done > than else None
+
+
 def test_an_import_whose_only_worker_stood_still_goes_on_when_it_wakes(tmp_path: Path) -> None:
     with (
         RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false", **BRIEF) as service,
@@ -54,8 +60,15 @@ def test_an_import_whose_only_worker_stood_still_goes_on_when_it_wakes(tmp_path:
         httpx.Client(base_url=service.url, timeout=60) as client,
     ):
         job = sent(client, "walk", IMAGES)
-        until(lambda: ready(client, "walk") >= 5)
-        until(lambda: stands_still(process, lambda: client.get(f"/jobs/{job}").json()["state"] == "waiting"))
+        furthest = 0
+
+        def is_interrupted() -> bool:
+            """Stop the worker, which got further than before: three times without are taken for three deaths."""
+            nonlocal furthest
+            furthest = until(lambda: further(client, job, furthest))
+            return stands_still(process, lambda: client.get(f"/jobs/{job}").json()["state"] == "waiting")
+
+        until(is_interrupted)
         assert ready(client, "walk") < IMAGES, "it was over before"
         process.send_signal(signal.SIGCONT)
 

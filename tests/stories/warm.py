@@ -11,6 +11,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from lab.faults.process import PRELOADED
+from tests.described_once import describe_once
 from tests.small_images import enlarge_less
 
 _forked = multiprocessing.get_context("forkserver")
@@ -35,6 +36,7 @@ def _run(command: str, environment: Mapping[str, str], writing: Connection) -> N
     os.environ.clear()
     os.environ.update(environment)
     enlarge_less()
+    describe_once()
     sys.exit(importlib.import_module("app.cli.__main__").main([command]))
 
 
